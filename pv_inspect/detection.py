@@ -1,0 +1,286 @@
+"""Crossing points of the cells in every frame (stage *detect*).
+
+The idea follows Hoffmann et al. 2019 (ref. [37] of the paper): a coarse pose from the outline of
+the module, then profiles across the expected cell borders. Every gap between two cells is
+measured as the position of a blurred dark line between two brightness levels, which is unbiased
+where neighbouring cells differ in brightness; a crossing is where its measured gaps meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from pv_inspect.camera import Camera
+from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
+from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.outline import Outline, OutlineError, Pose, find_outline, fit_pose
+from pv_inspect.sequence import Sequence
+
+__all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
+
+Array = NDArray[np.float64]
+
+MIN_EDGE_SHARE = 0.45
+"""Share of the expected gaps that must be visible; dead cells and cracks hide some."""
+MAX_ASPECT_RATIO_ERROR = 1.4
+"""Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
+SEARCH_UNITS = (0.12, 0.06, 0.04)
+"""Half width of the search across a gap, module units, in successive rounds."""
+
+
+@dataclass(frozen=True)
+class FrameCrossings:
+    """Crossing points of one frame.
+
+    Parameters
+    ----------
+    points_px : (n_crossings, 2) float64
+        (x, y) in LR pixels, row-major; NaN where unknown. May lie outside of the frame.
+    sigma_px : (n_crossings,) float64
+        Standard deviation of a coordinate.
+    measured : (n_crossings,) bool
+        Whether both coordinates come from visible gaps; otherwise the point is predicted.
+    why : str
+        Empty, or the reason why the frame failed.
+    """
+
+    points_px: Array
+    sigma_px: Array
+    measured: NDArray[np.bool_]
+    why: str = ""
+
+    @classmethod
+    def failed(cls, layout: ModuleLayout, why: str) -> FrameCrossings:
+        """Return the record of a frame in which nothing was found."""
+        n = layout.n_crossings
+        return cls(np.full((n, 2), np.nan), np.full(n, np.inf), np.zeros(n, bool), why)
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Crossing points of all frames of a sequence, in the order of the frames."""
+
+    layout: ModuleLayout
+    frames: tuple[FrameCrossings, ...]
+
+
+def detect(sequence: Sequence, layout: ModuleLayout) -> Generator[float, None, Crossings]:
+    """Find the crossing points in every frame.
+
+    A frame in which the module is cut by the image border, or whose outline fails, is found again
+    from the nearest frame that succeeded.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    layout : ModuleLayout
+
+    Yields
+    ------
+    float
+        Share of the work that is done.
+
+    Returns
+    -------
+    Crossings
+
+    Raises
+    ------
+    InspectionError
+        If no frame shows a module of that layout.
+    """
+    count = len(sequence)
+    found: dict[int, tuple[Pose, FrameCrossings]] = {}
+    reasons: dict[int, str] = {}
+    turns: int | None = None
+    for index in range(count):
+        image = sequence.frame(index).image
+        try:
+            outline = find_outline(image)
+            if outline.cut:
+                raise OutlineError("the border of the image cuts the module")
+            pose, turns = _orient(image, outline, layout, turns)
+            found[index] = detect_in_frame(image, layout, pose)
+        except OutlineError as error:
+            reasons[index] = str(error)
+        yield 0.8 * (index + 1) / count
+    for index in sorted(reasons):
+        if not found or reasons[index].startswith(("black", "saturated")):
+            continue
+        nearest = min(found, key=lambda other: abs(other - index))
+        try:
+            image = sequence.frame(index).image
+            start = _translated(sequence.frame(nearest).image, image, found[nearest][0])
+            found[index] = detect_in_frame(image, layout, start)
+            del reasons[index]
+        except OutlineError as error:
+            reasons[index] = str(error)
+        yield 0.8 + 0.2 * (index + 1) / count
+    if not found:
+        first = min(reasons)
+        raise InspectionError(
+            f"No frame shows a module of {layout.rows} rows x {layout.cols} columns "
+            f"({sequence.names[first]}: {reasons[first]}): check the frames, rows and cols."
+        )
+    return Crossings(
+        layout,
+        tuple(
+            found[index][1] if index in found else FrameCrossings.failed(layout, reasons[index])
+            for index in range(count)
+        ),
+    )
+
+
+def detect_in_frame(
+    image: NDArray[np.float32], layout: ModuleLayout, start: Pose
+) -> tuple[Pose, FrameCrossings]:
+    """Refine a coarse pose on the gaps between the cells and read the crossing points.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+    layout : ModuleLayout
+    start : Pose
+        Right to about a tenth of a cell.
+
+    Returns
+    -------
+    Pose
+        The pose that fits the gaps best.
+    FrameCrossings
+
+    Raises
+    ------
+    OutlineError
+        If too few of the expected gaps are there.
+    """
+    edges = cell_edges(layout)
+    pose = start
+    for search in SEARCH_UNITS:
+        offsets = measure_edges(image, edges, pose, search)
+        share = (
+            float(offsets.found[edges.inner & offsets.visible].mean()) if edges.inner.any() else 1.0
+        )
+        if not offsets.visible.any() or share < MIN_EDGE_SHARE:
+            raise OutlineError(
+                f"only {100 * share:.0f} % of the borders between {layout.rows} x {layout.cols} "
+                "cells were found"
+            )
+        pose = _refine(pose, edges, offsets)
+    offsets = measure_edges(image, edges, pose, SEARCH_UNITS[-1])
+    return pose, _crossings(layout, edges, offsets, pose)
+
+
+def _orient(
+    image: NDArray[np.float32], outline: Outline, layout: ModuleLayout, turns: int | None
+) -> tuple[Pose, int]:
+    """Fit the outline in the orientation that the aspect of the module demands."""
+    corners = outline.corners_px
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    across, down = sides[[0, 2]].mean(), sides[[1, 3]].mean()
+    width, height = layout.size
+    candidates = (0, 1) if turns is None else (turns,)
+    errors = {
+        turn: abs(np.log((across / down if turn % 2 == 0 else down / across) / (width / height)))
+        for turn in candidates
+    }
+    best = min(errors, key=lambda turn: errors[turn])
+    if errors[best] > np.log(MAX_ASPECT_RATIO_ERROR):
+        raise OutlineError(
+            f"the module is {max(across, down) / min(across, down):.2f} times as long as wide, "
+            f"but {layout.rows} x {layout.cols} cells of aspect {layout.cell_aspect:g} make "
+            f"{max(width, height) / min(width, height):.2f}"
+        )
+    pose, distance = fit_pose(outline, layout, image.shape, best)
+    scale = float(np.sqrt(across * down / (width * height)))
+    if distance > 0.15 * scale:
+        raise OutlineError(f"the outline is no rectangle (median distance {distance:.1f} px)")
+    return pose, best
+
+
+def _refine(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:
+    """Fit homography and kappa to the measured gaps (robust, 9 parameters)."""
+    use = offsets.found
+    middle = edges.middle[use]
+    normal = edges.normal[use]
+    pixels = pose.project(middle + offsets.offset[use, None] * normal)
+    sigma = np.maximum(offsets.sigma[use], 1e-4)
+    # Dividing by a floor keeps a few very sharp gaps from deciding everything.
+    weight = 1.0 / np.hypot(sigma, np.median(sigma))
+    centre = middle.mean(axis=0)
+    size = max(float(np.ptp(edges.middle, axis=0).max()) / 2, 1.0)
+    inner = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1.0]])
+    first = pose.homography @ inner
+    first = first / first[2, 2]
+
+    def rebuilt(parameters: Array) -> Pose:
+        matrix = np.append(parameters[:8], 1.0).reshape(3, 3) @ np.linalg.inv(inner)
+        return Pose(Camera(pose.camera.K, float(parameters[8])), matrix)
+
+    def residuals(parameters: Array) -> Array:
+        moved = rebuilt(parameters).unproject(pixels)
+        distance = np.nan_to_num(((moved - middle) * normal).sum(axis=1), nan=1.0)
+        return np.append(weight * distance, (parameters[8] - pose.camera.kappa) / 0.2)
+
+    fit = least_squares(
+        residuals,
+        np.append(first.ravel()[:8], pose.camera.kappa),
+        loss="cauchy",
+        f_scale=2.0,
+        max_nfev=40,
+    )
+    return rebuilt(fit.x)
+
+
+def _crossings(
+    layout: ModuleLayout, edges: CellEdges, offsets: EdgeOffsets, pose: Pose
+) -> FrameCrossings:
+    """Combine the gaps that meet at a crossing; what they do not measure is predicted."""
+    ideal = layout.crossings()
+    total = np.zeros((layout.n_crossings, 2))
+    weight = np.zeros((layout.n_crossings, 2))
+    spread = 1.4826 * np.median(np.abs(offsets.offset[offsets.found])) if offsets.found.any() else 1
+    use = offsets.found & (np.abs(offsets.offset) < 5 * max(spread, 1e-3))
+    precision = np.where(use, 1.0 / np.hypot(offsets.sigma, spread) ** 2, 0.0)
+    axis = np.argmax(np.abs(edges.normal), axis=1)
+    for end in range(2):
+        np.add.at(weight, (edges.crossings[:, end], axis), precision)
+        np.add.at(
+            total, (edges.crossings[:, end], axis), precision * np.where(use, offsets.offset, 0)
+        )
+    known = weight > 0
+    shift = np.divide(total, weight, out=np.zeros_like(total), where=known)
+    points = pose.project(ideal + shift)
+    scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
+    variance = np.divide(1.0, weight, out=np.full_like(weight, (4 * spread) ** 2), where=known)
+    measured = known.all(axis=1) & np.isfinite(points).all(axis=1)
+    sigma = np.where(np.isfinite(scale), scale, np.inf) * np.sqrt(variance.mean(axis=1))
+    return FrameCrossings(points, np.maximum(sigma, 0.01), measured)
+
+
+def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose: Pose) -> Pose:
+    """Shift the pose of one frame to where the same picture is found in another frame."""
+    height, width = image.shape
+    pad = max(height, width) // 5
+    smooth = [cv2.GaussianBlur(a, (0, 0), 1.5) for a in (reference, image)]
+    template = smooth[0][pad // 2 : height - pad // 2, pad : width - pad]
+    canvas = cv2.copyMakeBorder(smooth[1], pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
+    score = cv2.matchTemplate(canvas, template, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (x, y) = cv2.minMaxLoc(score)
+    if best < 0.4:
+        raise OutlineError(f"it does not look like its neighbours (correlation {best:.2f})")
+    shift = np.array([x - 2 * pad, y - pad - pad // 2], np.float64)
+    ideal = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 4
+    pixels = pose.project(ideal) + shift
+    normalised = pose.camera.undistort((pixels - pose.camera.K[:2, 2]) / pose.camera.K[0, 0])
+    matrix = cv2.getPerspectiveTransform(
+        ideal.astype(np.float32), np.asarray(normalised).astype(np.float32)
+    )
+    return Pose(pose.camera, np.asarray(matrix, np.float64))

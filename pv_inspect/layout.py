@@ -1,0 +1,160 @@
+"""The module plane: how many cells, where their crossing points lie, and the HR grid on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.errors import InspectionError
+
+__all__ = ["HrGrid", "ModuleLayout"]
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModuleLayout:
+    """Cells of a module in the module plane.
+
+    The unit of the plane is the pitch of one cell width, the same in x and y.
+
+    Parameters
+    ----------
+    rows, cols : int
+        Number of cells along y and x.
+    cell_aspect : float
+        Cell width / cell height (2 for half-cut cells lying flat).
+    """
+
+    rows: int
+    cols: int
+    cell_aspect: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.rows < 1 or self.cols < 1:
+            raise InspectionError(
+                f"A module of {self.rows} rows x {self.cols} columns has no cells: "
+                "give rows and cols of at least 1."
+            )
+        if not (np.isfinite(self.cell_aspect) and 0.1 <= self.cell_aspect <= 10):
+            raise InspectionError(
+                f"cell_aspect is {self.cell_aspect:g}, but cell width / cell height must lie "
+                "between 0.1 and 10."
+            )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height of the module in module units."""
+        return float(self.cols), self.rows / self.cell_aspect
+
+    @property
+    def n_crossings(self) -> int:
+        """Number of crossing points, outer ones included: (rows + 1) * (cols + 1)."""
+        return (self.rows + 1) * (self.cols + 1)
+
+    def crossings(self) -> Points:
+        """Crossing points in the module plane.
+
+        Returns
+        -------
+        (n_crossings, 2) float64
+            (x, y), row-major: crossing (row i, column j) lies at (j, i / cell_aspect).
+        """
+        i, j = np.divmod(np.arange(self.n_crossings), self.cols + 1)
+        return np.column_stack([j, i / self.cell_aspect]).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class HrGrid:
+    """Pixel grid of the rectified high-resolution image on the module plane.
+
+    HR pixel = ``origin_px`` + ``pixels_per_unit`` * (module-plane coordinate), pixel centres at
+    integers.
+
+    Parameters
+    ----------
+    layout : ModuleLayout
+    pixels_per_unit : float
+        HR pixels per module unit, the same in x and y.
+    origin_px : tuple of float
+        (x, y) of the top-left outer crossing, HR pixels.
+    shape : tuple of int
+        (height, width) of the image.
+    magnification : float
+        LR pixel pitch / HR pixel pitch at the module's mean scale.
+    """
+
+    layout: ModuleLayout
+    pixels_per_unit: float
+    origin_px: tuple[float, float]
+    shape: tuple[int, int]
+    magnification: float
+
+    @classmethod
+    def covering(
+        cls, layout: ModuleLayout, lr_px_per_unit: float, magnification: float, margin: float = 0.15
+    ) -> HrGrid:
+        """Return the grid of a whole module with a margin around it.
+
+        The pitch is rounded so that a cell is a whole number of HR pixels wide: tiles then need
+        no resampling. ``magnification`` becomes what the rounding makes of it.
+
+        Parameters
+        ----------
+        layout : ModuleLayout
+        lr_px_per_unit : float
+            Mean scale of the module in the frames, LR pixels per module unit.
+        magnification : float
+            Wanted LR pixel pitch / HR pixel pitch.
+        margin : float
+            Border around the cells, module units.
+        """
+        ppu = float(max(round(lr_px_per_unit * magnification), 1))
+        pad = int(np.ceil(margin * ppu))
+        width, height = layout.size
+        shape = (int(np.ceil(height * ppu)) + 2 * pad, int(np.ceil(width * ppu)) + 2 * pad)
+        # Cell borders fall between pixels: the first pixel of a cell starts at the crossing.
+        origin = pad - 0.5
+        return cls(layout, ppu, (origin, origin), shape, ppu / lr_px_per_unit)
+
+    @property
+    def pixels_per_cell(self) -> tuple[float, float]:
+        """HR pixels per cell along x and y."""
+        return self.pixels_per_unit, self.pixels_per_unit / self.layout.cell_aspect
+
+    def to_pixels(self, module_points: Points) -> Points:
+        """Module-plane points (..., 2) to HR pixel coordinates."""
+        points = np.asarray(module_points)
+        pixels: Points = np.asarray(self.origin_px) + self.pixels_per_unit * points
+        return pixels
+
+    def to_module(self, pixels: Points) -> Points:
+        """HR pixel coordinates (..., 2) to the module plane."""
+        points: Points = (np.asarray(pixels) - np.asarray(self.origin_px)) / self.pixels_per_unit
+        return points
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """3 x 3 similarity from HR pixel coordinates to the module plane."""
+        s = 1.0 / self.pixels_per_unit
+        ox, oy = self.origin_px
+        return np.array([[s, 0.0, -ox * s], [0.0, s, -oy * s], [0.0, 0.0, 1.0]])
+
+    def cell_slices(self, row: int, col: int) -> tuple[slice, slice]:
+        """[row, col] slices of the pixels of one cell; all cells have the same size."""
+        px, py = self.pixels_per_cell
+        w, h = round(px), round(py)
+        x0 = round(self.origin_px[0] + 0.5 + col * px)
+        y0 = round(self.origin_px[1] + 0.5 + row * py)
+        return slice(y0, y0 + h), slice(x0, x0 + w)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the part of ``result.json`` that places the HR image on the module plane."""
+        return {
+            "pixels_per_cell": list(self.pixels_per_cell),
+            "origin_px": list(self.origin_px),
+            "magnification": self.magnification,
+        }

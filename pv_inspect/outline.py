@@ -1,0 +1,202 @@
+"""Where the module is in one frame: its bright area and the pose that explains the outline.
+
+The outline gives the pose to about one pixel, lens distortion included; `pv_inspect.detection`
+refines it on the gaps between the cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from pv_inspect.camera import Camera
+from pv_inspect.layout import ModuleLayout
+
+__all__ = ["Outline", "OutlineError", "Pose", "conventional_camera", "find_outline", "fit_pose"]
+
+Array = NDArray[np.float64]
+MIN_AREA_SHARE = 0.02
+
+
+class OutlineError(Exception):
+    """The frame shows no module; the text says why, as part of a sentence."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One camera and one homography: where the module plane is seen in one frame."""
+
+    camera: Camera
+    homography: Array
+
+    def project(self, module_points: Array) -> Array:
+        """Module points (n, 2) to pixels (n, 2)."""
+        return self.camera.project(self.homography, module_points)
+
+    def unproject(self, pixels: Array) -> Array:
+        """Pixels (n, 2) to module points (n, 2)."""
+        return self.camera.unproject(self.homography, pixels)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Contour of the bright area of the module.
+
+    Parameters
+    ----------
+    points_px : (n, 2) float64
+        Contour points that are not on the border of the image.
+    corners_px : (4, 2) float64
+        Corners of the enclosing quadrilateral, clockwise as seen on the screen.
+    cut : bool
+        Whether the border of the image cuts the module.
+    """
+
+    points_px: Array
+    corners_px: Array
+    cut: bool
+
+
+def conventional_camera(shape: tuple[int, int], kappa: float = 0.0) -> Camera:
+    """Return a camera with its principal point in the centre and f = the longer image side."""
+    height, width = shape
+    f = float(max(width, height))
+    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
+    return Camera(np.array([[f, 0, centre_x], [0, f, centre_y], [0, 0, 1.0]]), kappa)
+
+
+def find_outline(image: NDArray[np.float32]) -> Outline:
+    """Segment the module from the dark background and take its contour.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        Frame, full scale = 1.
+
+    Returns
+    -------
+    Outline
+
+    Raises
+    ------
+    OutlineError
+        If the frame is black, saturated, or shows nothing that is bright and large enough.
+    """
+    height, width = image.shape
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
+    low, high = (float(v) for v in np.percentile(smooth, [1, 99]))
+    if low > 0.9:
+        raise OutlineError("saturated")
+    noise = _noise(image) / 3.0
+    if high - low < max(8 * noise, 1e-3):
+        raise OutlineError("black: nothing in it is brighter than the background")
+    scaled = (np.clip((smooth - low) / (high - low), 0, 1) * 255).astype(np.uint8)
+    threshold, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    # Otsu splits at the middle of the classes; dark cells are nearer to the background.
+    mask = (scaled > 0.8 * threshold).astype(np.uint8)
+    size = max(3, min(height, width) // 40) | 1
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_REPLICATE)
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, element)
+    closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, element)[size:-size, size:-size]
+    component = _central_component(closed)
+    if component.mean() < MIN_AREA_SHARE:
+        raise OutlineError(
+            f"no module: the largest bright area covers {100 * component.mean():.1f} % of the frame"
+        )
+    contours, _ = cv2.findContours(component, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
+    inside = np.all((contour > 1) & (contour < [width - 2, height - 2]), axis=1)
+    if inside.sum() < 40:
+        raise OutlineError("no module outline: the bright area fills the frame")
+    hull = cv2.convexHull(contour.astype(np.float32))
+    corners = np.asarray(cv2.approxPolyN(hull, 4, ensure_convex=True), np.float64).reshape(-1, 2)
+    return Outline(contour[inside], _clockwise(corners), bool((~inside).sum() > 10))
+
+
+def fit_pose(
+    outline: Outline, layout: ModuleLayout, shape: tuple[int, int], quarter_turns: int
+) -> tuple[Pose, float]:
+    """Fit homography and kappa so that the contour lies on the outline of the module.
+
+    Parameters
+    ----------
+    outline : Outline
+    layout : ModuleLayout
+    shape : tuple of int
+        (height, width) of the frame.
+    quarter_turns : int
+        Which corner of the quadrilateral is the module's top left one, 0 to 3.
+
+    Returns
+    -------
+    Pose
+    float
+        Median distance of the contour from the outline, LR pixels.
+    """
+    width, height = layout.size
+    target = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    camera = conventional_camera(shape)
+    corners = np.roll(outline.corners_px, -quarter_turns, axis=0)
+    normalised = (corners - camera.K[:2, 2]) / camera.K[0, 0]
+    start = cv2.getPerspectiveTransform(target.astype(np.float32), normalised.astype(np.float32))
+    points = outline.points_px[:: max(1, len(outline.points_px) // 600)]
+    side_px = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    scale = float(side_px.sum() / (2 * (width + height)))
+    centre = np.array([width, height]) / 2
+
+    # The plane is centred and scaled so that all parameters are of one order.
+    inner = np.array([[width / 2, 0, centre[0]], [0, width / 2, centre[1]], [0, 0, 1.0]])
+    first = start @ inner
+    first = first / first[2, 2]
+
+    def pose(parameters: Array) -> Pose:
+        matrix = np.append(parameters[:8], 1.0).reshape(3, 3) @ np.linalg.inv(inner)
+        return Pose(Camera(camera.K, float(parameters[8])), matrix)
+
+    def residuals(parameters: Array) -> Array:
+        found = pose(parameters).unproject(points)
+        excess = np.abs(found - centre) - centre
+        outside = np.maximum(excess, 0)
+        # Signed distance of a point from the rectangle, in pixels at the mean scale.
+        distance = np.hypot(outside[:, 0], outside[:, 1]) + np.minimum(excess.max(axis=1), 0)
+        return np.append(np.nan_to_num(distance * scale, nan=50.0), 5.0 * parameters[8])
+
+    fit = least_squares(
+        residuals, np.append(first.ravel()[:8], 0.0), loss="soft_l1", f_scale=1.0, max_nfev=60
+    )
+    return pose(fit.x), float(np.median(np.abs(residuals(fit.x)[:-1])))
+
+
+def _noise(image: NDArray[np.float32]) -> float:
+    difference = np.diff(image, axis=1)
+    return float(1.4826 * np.median(np.abs(difference - np.median(difference))) / np.sqrt(2))
+
+
+def _central_component(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the large component nearest to the centre of the frame."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    if count < 2:
+        return np.zeros_like(mask)
+    areas = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
+    height, width = mask.shape
+    large = np.flatnonzero(areas > 0.5 * areas.max()) + 1
+    if len(large) == 1:
+        return (labels == large[0]).astype(np.uint8)
+    centre = np.array([width / 2, height / 2])
+    gaps = [
+        np.linalg.norm(np.argwhere(labels == label)[:, ::-1] - centre, axis=1).min()
+        for label in large
+    ]
+    return (labels == large[int(np.argmin(gaps))]).astype(np.uint8)
+
+
+def _clockwise(corners: Array) -> Array:
+    """Order corners clockwise on the screen, beginning with the one nearest to the top left."""
+    angle = np.arctan2(*(corners - corners.mean(axis=0)).T[::-1])
+    ordered = corners[np.argsort(angle)]
+    return np.roll(ordered, -int(np.argmin(ordered.sum(axis=1))), axis=0)

@@ -1,0 +1,227 @@
+"""Every number that a user may tune, with unit, range and the stage that it makes stale."""
+
+from __future__ import annotations
+
+import tomllib
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.config import JsonDict
+
+from pv_inspect.errors import InspectionError
+
+__all__ = ["Settings", "Stage"]
+
+
+class Stage(StrEnum):
+    """The stages of the method in the order in which data flows (paper, Fig. 2)."""
+
+    LOAD = "load"
+    DETECT = "detect"
+    CALIBRATE = "calibrate"
+    REGISTER = "register"
+    RECONSTRUCT = "reconstruct"
+    CELLS = "cells"
+    CRACKS = "cracks"
+
+    @property
+    def index(self) -> int:  # type: ignore[override]  # of no use on the name as a string
+        """Position in the order of the stages, 0 for the first."""
+        return list(Stage).index(self)
+
+
+def _tunable(default: Any, stage: Stage, unit: str, description: str, **limits: Any) -> Any:
+    """Declare a setting; ``stage`` is the first stage that has to run again when it changes."""
+    extra: JsonDict = {"stage": stage.value, "unit": unit}
+    return Field(default, description=description, json_schema_extra=extra, **limits)
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Settings(BaseModel):
+    """Settings of one inspection; immutable, validated on construction.
+
+    ``Settings.model_fields[name].description`` says what a field means and
+    ``Settings.unit_of(name)`` its unit: the command line and the workbench show both.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rows: int | None = _tunable(
+        None,
+        Stage.DETECT,
+        "cells",
+        "Rows of cells; taken from module.json if not given.",
+        ge=1,
+        le=200,
+    )
+    cols: int | None = _tunable(
+        None,
+        Stage.DETECT,
+        "cells",
+        "Columns of cells; taken from module.json if not given.",
+        ge=1,
+        le=200,
+    )
+    cell_aspect: Finite | None = _tunable(
+        None,
+        Stage.DETECT,
+        "1",
+        "Cell width / cell height; from module.json if not given, else 1.",
+        ge=0.1,
+        le=10,
+    )
+    dark_frame: Path | None = _tunable(
+        None,
+        Stage.LOAD,
+        "file",
+        "Image taken without current, subtracted from every frame "
+        "instead of the estimated black level.",
+    )
+    kappa: Finite | None = _tunable(
+        None,
+        Stage.CALIBRATE,
+        "1",
+        "Radial distortion, r_d = r_u + kappa r_u^3 in normalised coordinates; "
+        "fitted if not given.",
+        ge=-1,
+        le=1,
+    )
+    focal_length_px: Finite | None = _tunable(
+        None,
+        Stage.CALIBRATE,
+        "LR px",
+        "Focal length; if not given it is a stated convention that the results do not depend on.",
+        gt=10,
+        le=1e6,
+    )
+    magnification: Finite = _tunable(
+        4.0,
+        Stage.RECONSTRUCT,
+        "1",
+        "LR pixel pitch / HR pixel pitch; 3 and 4 are usual.",
+        ge=1,
+        le=6,
+    )
+    prior_weight: Finite = _tunable(
+        0.05,
+        Stage.RECONSTRUCT,
+        "noise units",
+        "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units.",
+        ge=0,
+        le=1e3,
+    )
+    psf_sigma_lr_px: Finite | None = _tunable(
+        None,
+        Stage.RECONSTRUCT,
+        "LR px",
+        "Standard deviation of the optical blur, before the pixel aperture; "
+        "estimated if not given.",
+        ge=0.1,
+        le=3,
+    )
+    max_iterations: int = _tunable(
+        60,
+        Stage.RECONSTRUCT,
+        "1",
+        "Upper limit of solver iterations of the reconstruction.",
+        ge=1,
+        le=1000,
+    )
+    crack_threshold: Finite = _tunable(
+        0.5,
+        Stage.CRACKS,
+        "probability",
+        "Probability above which a pixel counts as crack.",
+        ge=0,
+        le=1,
+    )
+
+    @classmethod
+    def create(cls, **values: Any) -> Settings:
+        """Build settings, turning a wrong value into one sentence.
+
+        Raises
+        ------
+        InspectionError
+            If a name is unknown or a value is outside its range.
+        """
+        try:
+            return cls(**values)
+        except ValidationError as error:
+            raise InspectionError(_sentence(error)) from None
+
+    @classmethod
+    def from_toml(cls, path: Path) -> Settings:
+        """Read settings from a TOML file.
+
+        Raises
+        ------
+        InspectionError
+            If the file can't be read, is no TOML, or holds a wrong name or value.
+        """
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InspectionError(
+                f"{path} can't be read ({error.strerror}): give an existing settings file."
+            ) from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InspectionError(
+                f"{path} is not valid TOML ({error}): correct that line."
+            ) from None
+        try:
+            return cls.create(**values)
+        except InspectionError as error:
+            raise InspectionError(f"{path}: {error}") from None
+
+    def to_toml(self) -> str:
+        """Return the settings as TOML; values that are not given are left out."""
+        lines = []
+        for name, value in self.model_dump(mode="json", exclude_none=True).items():
+            text = f'"{value}"'.replace("\\", "\\\\") if isinstance(value, str) else repr(value)
+            lines.append(f"{name} = {text}")
+        return "\n".join(lines) + "\n"
+
+    def changed(self, **values: Any) -> Settings:
+        """Return a validated copy with some values changed."""
+        return Settings.create(**{**self.model_dump(), **values})
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """Unit of a setting, for labels and tooltips."""
+        return cls._extra(name)["unit"]
+
+    @classmethod
+    def stage_of(cls, name: str) -> Stage:
+        """Return the first stage that a change of this setting makes stale."""
+        return Stage(cls._extra(name)["stage"])
+
+    def first_stale_stage(self, other: Settings) -> Stage | None:
+        """Return the first stage that has to run again to get from ``self`` to ``other``."""
+        stages = [
+            self.stage_of(name)
+            for name in type(self).model_fields
+            if getattr(self, name) != getattr(other, name)
+        ]
+        return min(stages, key=lambda stage: stage.index, default=None)
+
+    @classmethod
+    def _extra(cls, name: str) -> dict[str, str]:
+        extra = cls.model_fields[name].json_schema_extra
+        assert isinstance(extra, dict)
+        return {key: str(value) for key, value in extra.items()}
+
+
+def _sentence(error: ValidationError) -> str:
+    first = error.errors()[0]
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        known = ", ".join(Settings.model_fields)
+        return f"There is no setting {name!r}: use one of {known}."
+    unit = Settings.unit_of(name) if name in Settings.model_fields else ""
+    why = f"{first['msg'][0].lower()}{first['msg'][1:]}"
+    return f"Setting {name} is {first['input']!r} [{unit}]: {why}."
