@@ -27,8 +27,10 @@ __all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
 
 Array = NDArray[np.float64]
 
-MIN_EDGE_SHARE = 0.45
-"""Share of the expected gaps that must be visible; dead cells and cracks hide some."""
+MIN_EDGE_SHARE = 0.6
+"""Share of the expected gaps that must be in place; dead cells and cracks hide some."""
+IN_PLACE_PX = 0.5
+FINER_SHARE = 0.85
 MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
@@ -164,17 +166,18 @@ def detect_in_frame(
     edges = cell_edges(layout)
     pose = start
     for search in SEARCH_UNITS:
-        offsets = measure_edges(image, edges, pose, search)
-        share = (
-            float(offsets.found[edges.inner & offsets.visible].mean()) if edges.inner.any() else 1.0
-        )
-        if not offsets.visible.any() or share < MIN_EDGE_SHARE:
-            raise OutlineError(
-                f"only {100 * share:.0f} % of the borders between {layout.rows} x {layout.cols} "
-                "cells were found"
-            )
-        pose = _refine(pose, edges, offsets)
+        pose = _refine(pose, edges, measure_edges(image, edges, pose, search))
     offsets = measure_edges(image, edges, pose, SEARCH_UNITS[-1])
+    share = _share_in_place(edges, offsets, pose)
+    if share < MIN_EDGE_SHARE:
+        raise OutlineError(
+            f"only {100 * share:.0f} % of the borders between {layout.rows} x {layout.cols} cells "
+            "are where they should be"
+        )
+    if _has_finer_grid(image, layout, pose):
+        raise OutlineError(
+            f"there are borders in the middle of the {layout.rows} x {layout.cols} cells too"
+        )
     return pose, _crossings(layout, edges, offsets, pose)
 
 
@@ -205,9 +208,38 @@ def _orient(
     return pose, best
 
 
+def _share_in_place(edges: CellEdges, offsets: EdgeOffsets, pose: Pose) -> float:
+    """Share of the gaps that lie within half a pixel, of the worse of the two directions.
+
+    Busbars can be taken for gaps, but they do not lie at the places of one pose; and wrong rows
+    leave all the upright gaps in place, which the mean of both directions would hide.
+    """
+    jacobian = pose.camera.jacobian(pose.homography, edges.middle)
+    across = np.linalg.norm(np.einsum("nij,nj->ni", jacobian, edges.normal), axis=1)
+    in_place = offsets.found & (np.abs(np.nan_to_num(offsets.offset)) * across < IN_PLACE_PX)
+    shares = []
+    for axis in range(2):
+        expected = edges.inner & (edges.normal[:, axis] == 1)
+        seen = expected & offsets.visible
+        if expected.any():
+            shares.append(float(in_place[seen].mean()) if seen.any() else 0.0)
+    return min(shares, default=1.0)
+
+
+def _has_finer_grid(image: NDArray[np.float32], layout: ModuleLayout, pose: Pose) -> bool:
+    """Whether gaps halve the cells in both directions, as when rows and cols are half too few."""
+    finer = ModuleLayout(2 * layout.rows, 2 * layout.cols, layout.cell_aspect)
+    edges = cell_edges(finer)
+    halved = Pose(pose.camera, pose.homography @ np.diag([0.5, 0.5, 1.0]))
+    offsets = measure_edges(image, edges, halved, SEARCH_UNITS[-1])
+    return _share_in_place(edges, offsets, halved) > FINER_SHARE
+
+
 def _refine(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:
     """Fit homography and kappa to the measured gaps (robust, 9 parameters)."""
     use = offsets.found
+    if use.sum() < 9:
+        raise OutlineError(f"only {use.sum()} borders between cells were found")
     middle = edges.middle[use]
     normal = edges.normal[use]
     pixels = pose.project(middle + offsets.offset[use, None] * normal)

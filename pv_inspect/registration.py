@@ -20,7 +20,6 @@ from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.sequence import Sequence
-from pv_inspect.settings import Settings
 
 __all__ = ["Registration", "module_mean", "register", "unregistered"]
 
@@ -41,8 +40,10 @@ ROUNDS = (_Round(2.5, 2, 6), _Round(1.0, 2, 4), _Round(0.0, 1, 3), _Round(0.0, 1
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 REFERENCE_MAGNIFICATION = 2.0
 HUBER = 2.5
-MIN_CORRELATION = 0.6
+MIN_CORRELATION = 0.5
 """Correlation of detail with the module image, relative to that of a typical frame."""
+MIN_TYPICAL = 0.2
+"""If the frames hardly correlate, all cells look alike and the correlation tells nothing."""
 MAX_STRAY_CELLS = 0.4
 """A registered frame that moved further from its crossing points is lost, in cell widths."""
 
@@ -102,16 +103,13 @@ def unregistered(calibration: Calibration) -> Registration:
     )
 
 
-def register(
-    sequence: Sequence, calibration: Calibration, settings: Settings
-) -> Generator[float, None, Registration]:
+def register(sequence: Sequence, calibration: Calibration) -> Generator[float, None, Registration]:
     """Refine every pose so that the frame agrees with the module image (Eq. 6).
 
     Parameters
     ----------
     sequence : Sequence
     calibration : Calibration
-    settings : Settings
 
     Yields
     ------
@@ -199,8 +197,8 @@ def module_mean(
     total = np.zeros(grid.shape, np.float32)
     weight = np.zeros(grid.shape, np.float32)
     camera = registration.camera
-    for index in np.flatnonzero(registration.used):
-        frame = sequence.frame(int(index))
+    for index in _indices(registration.used):
+        frame = sequence.frame(index)
         accumulate_frame(
             total,
             weight,
@@ -237,7 +235,7 @@ def _align(
         ]
     )
     unscale = np.linalg.inv(scale)
-    to_grid = np.linalg.inv(homography @ grid.matrix)
+    to_grid: Array = np.linalg.inv(homography @ grid.matrix)
     rms = float("nan")
     for _ in range(plan.iterations):
         A, b, chi2, count = normal_equations(
@@ -283,7 +281,11 @@ def _detail_correlation(
     covered: NDArray[np.bool_],
     grid: HrGrid,
 ) -> float:
-    """Correlation of one frame with the module image, without slow brightness differences."""
+    """Correlation of one frame with the module image in what tells its cells apart.
+
+    Slow brightness is taken out, and so is the mean cell: gaps and busbars look the same on every
+    module.
+    """
     total = np.zeros(grid.shape, np.float32)
     weight = np.zeros(grid.shape, np.float32)
     valid = np.ones(image.shape, bool)
@@ -291,11 +293,18 @@ def _detail_correlation(
         total, weight, image, valid, homography @ grid.matrix, camera.K, camera.kappa, 1.0, 0.0
     )
     seen = covered & (weight > 0)
-    if seen.sum() < 100:
-        return 0.0
     scale = grid.magnification
     detail = [_blur(a, 1.5 * scale) - _blur(a, 6.0 * scale) for a in (total, module)]
-    a, b = (d[seen] - d[seen].mean() for d in detail)
+    layout = grid.layout
+    slices = [
+        grid.cell_slices(row, col) for row in range(layout.rows) for col in range(layout.cols)
+    ]
+    slices = [cell for cell in slices if seen[cell].all()]
+    if not slices:
+        return 0.0
+    a, b = (np.array([d[cell] for cell in slices]) for d in detail)
+    if len(slices) > 1:
+        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-30))
 
 
@@ -319,10 +328,10 @@ def _rejected(state: Registration, calibration: Calibration, correlation: Array)
     used, why = state.used.copy(), list(state.why)
     typical = float(np.nanmedian(correlation))
     scale = state.lr_px_per_unit
-    for index in np.flatnonzero(state.used):
+    for index in _indices(state.used):
         moved = state.crossings_px(index) - calibration.crossings_px(index)
         stray = float(np.nanmedian(np.linalg.norm(moved, axis=1))) / scale
-        if correlation[index] < MIN_CORRELATION * typical:
+        if typical > MIN_TYPICAL and correlation[index] < MIN_CORRELATION * typical:
             why[index] = (
                 "it does not show the same module as the others "
                 f"(correlation {correlation[index]:.2f}, typically {typical:.2f})"
@@ -350,7 +359,7 @@ def _anchored(state: Registration, calibration: Calibration) -> Registration:
     found = np.array(
         [
             state.camera.unproject(state.homographies[i], calibration.crossings_px(i))
-            for i in np.flatnonzero(state.used)
+            for i in _indices(state.used)
         ]
     )
     mean = np.nanmean(found, axis=0)
@@ -368,6 +377,10 @@ def _anchored(state: Registration, calibration: Calibration) -> Registration:
         state.offset,
         state.rms,
     )
+
+
+def _indices(used: NDArray[np.bool_]) -> list[int]:
+    return [int(index) for index in np.flatnonzero(used)]
 
 
 def _mean_scale(camera: Camera, homographies: Array, layout: ModuleLayout) -> float:

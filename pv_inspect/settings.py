@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from enum import StrEnum
 from pathlib import Path
@@ -182,7 +183,8 @@ class Settings(BaseModel):
         """Return the settings as TOML; values that are not given are left out."""
         lines = []
         for name, value in self.model_dump(mode="json", exclude_none=True).items():
-            text = f'"{value}"'.replace("\\", "\\\\") if isinstance(value, str) else repr(value)
+            # JSON strings are TOML basic strings.
+            text = json.dumps(value) if isinstance(value, str) else repr(value)
             lines.append(f"{name} = {text}")
         return "\n".join(lines) + "\n"
 

@@ -1,0 +1,51 @@
+"""Super-resolved, rectified images of solar modules from sequences of coarse frames.
+
+The names below are loaded when they are first used: ``import pv_inspect`` itself is light.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pv_inspect.errors import InspectionError
+    from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
+    from pv_inspect.sequence import Sequence
+    from pv_inspect.settings import Settings, Stage
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Inspection",
+    "InspectionError",
+    "Sequence",
+    "Settings",
+    "Stage",
+    "Step",
+    "__version__",
+    "inspect",
+    "run_to_end",
+]
+
+_HOME = {
+    "Inspection": "pipeline",
+    "InspectionError": "errors",
+    "Sequence": "sequence",
+    "Settings": "settings",
+    "Stage": "settings",
+    "Step": "pipeline",
+    "inspect": "pipeline",
+    "run_to_end": "pipeline",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,282 @@
+"""Crossing points -> one camera and a homography per frame (paper, Sec. III-A and ref. [38]).
+
+Every frame gets a free homography (8 parameters) to normalised image coordinates; kappa and the
+centre of distortion are common to all frames. Robust bundle adjustment with the analytic Jacobian
+of `Camera.derivatives`, frames eliminated by the Schur complement.
+
+With free homographies the focal length is a pure gauge: only kappa / f^2 acts on pixels. It is
+given, or read off the homographies as in Zhang's method where they determine it, or a convention.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.bundle import Bundle, Fit, View, focal_length
+from pv_inspect.camera import Camera
+from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.settings import Settings
+
+if TYPE_CHECKING:
+    from pv_inspect.detection import Crossings, FrameCrossings
+
+__all__ = ["Calibration", "calibrate"]
+
+Array = NDArray[np.float64]
+
+# Focal length by convention, in units of the larger image side: a field of view of 45 degrees.
+FOCAL_CONVENTION = 1.2
+# The focal length is taken from the homographies if its relative standard deviation is below this.
+FOCAL_TOLERANCE = 0.03
+# Prior standard deviation of the principal point around the image centre, larger image side = 1.
+CENTRE_STD = 1.0 / 128.0
+MIN_POINTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """One camera for all frames and where the module lies in each of them.
+
+    Parameters
+    ----------
+    layout : ModuleLayout
+    camera : Camera
+    homographies : (n_frames, 3, 3) float64
+        Module plane to normalised image coordinates, third component positive in front of the
+        camera; NaN for frames that are not used.
+    used : (n_frames,) bool
+    why : tuple of str
+        Reason why a frame is not used, "" for those that are.
+    rms_px : (n_frames,) float64
+        RMS distance of measured crossing points from the model, LR px; wrong points (outliers) are
+        left out for used frames. NaN where no model could be fitted.
+    focal_convention : bool
+        True if the focal length is a convention: then only kappa / f^2 has a meaning.
+    kappa_std : float
+        Standard deviation of kappa, errors that repeat themselves in all frames included; 0 if it
+        was given.
+    """
+
+    layout: ModuleLayout
+    camera: Camera
+    homographies: Array
+    used: NDArray[np.bool_]
+    why: tuple[str, ...]
+    rms_px: Array
+    focal_convention: bool
+    kappa_std: float
+
+    def crossings_px(self, i: int) -> Array:
+        """Return the fitted crossing points of frame i.
+
+        Returns
+        -------
+        (n_crossings, 2) float64
+            Pixels (x, y), row-major, also outside of the frame; NaN without an image or if the
+            frame is not used.
+        """
+        return self.camera.project(self.homographies[i], self.layout.crossings())
+
+
+def calibrate(
+    crossings: Crossings,
+    image_shape: tuple[int, int],
+    settings: Settings,
+    *,
+    principal_point_std_px: float | None = None,
+) -> Calibration:
+    """Fit camera and homographies to the measured crossing points of all frames.
+
+    Parameters
+    ----------
+    crossings : Crossings
+        Crossing points of every frame; only measured ones count, weighted with 1 / sigma_px.
+    image_shape : tuple of int
+        (height, width) of a frame.
+    settings : Settings
+        ``kappa`` and ``focal_length_px`` are fixed if given. A kappa that is given without a
+        focal length belongs to the focal length that `calibrate` finds.
+    principal_point_std_px : float, optional
+        How far the principal point, the centre of distortion, may lie off the image centre: the
+        standard deviation of a prior, default 1/128 of the larger image side. 0 fixes it.
+
+    Raises
+    ------
+    InspectionError
+        If no frame has crossing points that fit the module.
+    """
+    side = float(max(image_shape))
+    centre = ((image_shape[1] - 1) / 2.0, (image_shape[0] - 1) / 2.0)
+    std = CENTRE_STD * side if principal_point_std_px is None else principal_point_std_px
+    focal = settings.focal_length_px or FOCAL_CONVENTION * side
+    to_unit = _to_unit(crossings.layout)
+    frames = _Frames(len(crossings.frames))
+    views = _views(crossings, to_unit, frames)
+    starts = _starting_homographies(views, focal, centre, frames)
+    bundle = Bundle(
+        views={i: views[i] for i in starts},
+        focal=focal,
+        centre=centre,
+        centre_std=std,
+        kappa=settings.kappa,
+    )
+    cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
+    fit = _fit_without_strangers(bundle, starts, cell, frames)
+
+    convention = settings.focal_length_px is None
+    if convention:
+        # A kappa that was given moves with the focal length that it belongs to: fit again.
+        for _ in range(1 if settings.kappa is None else 4):
+            found = focal_length(fit)
+            if found is None or found[1] > FOCAL_TOLERANCE:
+                break
+            convention = False
+            if settings.kappa is None:
+                fit = fit.with_focal_length(found[0])
+            elif abs(found[0] / fit.bundle.focal - 1.0) > 1e-6:
+                fit = fit.with_focal_length(found[0]).with_kappa(settings.kappa).refined()
+
+    homographies = np.full((frames.n, 3, 3), np.nan)
+    for i, H in fit.homographies.items():
+        homographies[i] = H @ to_unit
+        frames.rms[i] = fit.rms_px(i)
+    return Calibration(
+        layout=crossings.layout,
+        camera=fit.camera,
+        homographies=homographies,
+        used=np.array([not reason for reason in frames.why]),
+        why=tuple(frames.why),
+        rms_px=frames.rms,
+        focal_convention=convention,
+        kappa_std=fit.kappa_std,
+    )
+
+
+class _Frames:
+    """What becomes of each frame while the calibration runs."""
+
+    def __init__(self, n: int) -> None:
+        self.n = n
+        self.why = [""] * n
+        self.rms = np.full(n, np.nan)
+
+    def reject(self, i: int, reason: str) -> None:
+        self.why[i] = reason
+
+    def require_some(self) -> None:
+        """Raise the most common reason if no frame is left."""
+        if not all(self.why):
+            return
+        if not self.why:
+            raise InspectionError(
+                "There is no frame to calibrate from: give a sequence of at least one."
+            )
+        reason, count = Counter(self.why).most_common(1)[0]
+        raise InspectionError(
+            f"The module could not be located in any of the {self.n} frames ({reason} in {count}): "
+            "check rows, cols and cell_aspect, and that the whole module is in view."
+        )
+
+
+def _to_unit(layout: ModuleLayout) -> Array:
+    """Similarity from the module plane to about [-1, 1]^2, for the condition of the equations."""
+    width, height = layout.size
+    s = 2.0 / max(width, height)
+    return np.array([[s, 0, -s * width / 2], [0, s, -s * height / 2], [0, 0, 1.0]])
+
+
+def _views(crossings: Crossings, to_unit: Array, frames: _Frames) -> dict[int, View]:
+    points = crossings.layout.crossings() @ to_unit[:2, :2].T + to_unit[:2, 2]
+    needed = max(4, min(MIN_POINTS, len(points)))
+    views = {}
+    for i, frame in enumerate(crossings.frames):
+        if frame.why:
+            frames.reject(i, frame.why)
+            continue
+        good = np.asarray(frame.measured, dtype=bool) & np.isfinite(frame.points_px).all(axis=1)
+        n = int(good.sum())
+        if n < needed:
+            text = f"only {n} of {len(points)} crossing points were measured" if n else None
+            frames.reject(i, text or "crossing points not found")
+            continue
+        views[i] = View(
+            np.flatnonzero(good),
+            points[good],
+            np.asarray(frame.points_px)[good],
+            _sigma(frame)[good],
+        )
+    frames.require_some()
+    return views
+
+
+def _sigma(frame: FrameCrossings) -> Array:
+    """Standard deviations of the points; where they are unknown, the usual one of the frame."""
+    sigma = np.asarray(frame.sigma_px, dtype=np.float64)
+    known = np.isfinite(sigma) & (sigma > 0)
+    usual = float(np.median(sigma[known])) if known.any() else 0.2
+    return np.maximum(np.where(known, sigma, usual), 0.01)
+
+
+def _starting_homographies(
+    views: dict[int, View], focal: float, centre: tuple[float, float], frames: _Frames
+) -> dict[int, Array]:
+    """Homographies to normalised coordinates by least median of squares, no distortion yet."""
+    starts = {}
+    for i, view in views.items():
+        normalised = (view.px - centre) / focal
+        H = None
+        if np.linalg.matrix_rank(np.cov(view.points.T), tol=1e-6) == 2:
+            H, _ = cv2.findHomography(view.points, normalised, cv2.LMEDS)
+        if H is None or not np.isfinite(H).all() or abs(H[2, 2]) < 1e-6:
+            frames.reject(i, "crossings do not fit the module")
+            continue
+        H = np.asarray(H, dtype=np.float64) / H[2, 2]  # depth 1 at the centre of the module
+        if np.linalg.det(H) <= 0:
+            frames.reject(i, "crossings are mirrored")
+            continue
+        starts[i] = H
+    frames.require_some()
+    return starts
+
+
+def _fit_without_strangers(
+    bundle: Bundle, starts: dict[int, Array], cell: float, frames: _Frames
+) -> Fit:
+    """Fit all frames; take out those that do not fit and fit the others again."""
+    fit = bundle.fit(starts)
+    while True:
+        strangers = _strangers(fit, cell)
+        if not strangers:
+            return fit
+        for i, reason in strangers.items():
+            frames.reject(i, reason)
+            error = fit.typical_error_px(i)
+            frames.rms[i] = error if np.isfinite(error) else np.nan
+        frames.require_some()
+        kept = {i: H for i, H in fit.homographies.items() if i not in strangers}
+        fit = fit.bundle.without(strangers).fit(kept)
+
+
+def _strangers(fit: Fit, cell: float) -> dict[int, str]:
+    """Frames whose crossing points do not fit the module, with the reason.
+
+    ``cell`` is the shorter side of a cell in units of the plane of the fit.
+    """
+    errors = {i: fit.typical_error_px(i) for i in fit.homographies}
+    usual = float(np.median(list(errors.values())))
+    strangers = {}
+    for i, error in errors.items():
+        limit = min(max(1.0, 6.0 * usual), 0.15 * cell * fit.px_per_unit(i))
+        if not error <= limit:
+            much = f" (rms {error:.1f} px)" if np.isfinite(error) else ""
+            strangers[i] = f"crossings do not fit the module{much}"
+        elif np.linalg.det(fit.homographies[i]) <= 0:
+            strangers[i] = "crossings are mirrored"
+    return strangers

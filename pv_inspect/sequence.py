@@ -1,0 +1,373 @@
+"""The sequence of frames: lazy, checked before anything runs, delivered in full-scale units."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.frame_files import FrameFile, expand, natural_key, read_frame
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.noise import NoiseModel, estimate_noise
+from pv_inspect.sensor import (
+    black_level,
+    column_offsets,
+    defective_pixels,
+    effective_depth,
+    fill_pixels,
+    temporal_median,
+)
+from pv_inspect.settings import Settings
+from pv_inspect.sidecar import read_sidecar
+
+__all__ = ["Frame", "NoiseModel", "Sequence"]
+
+Raw = NDArray[np.unsignedinteger]
+
+_SUFFIXES = frozenset({".tif", ".tiff", ".png"})
+_SMALLEST_SIDE_PX = 32
+# Frames that the sensor's properties are estimated from; more add time, not knowledge.
+_SAMPLE_FRAMES = 24
+_CACHED_FRAMES = 64
+_CACHED_BYTES = 128 * 2**20
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame ready for use.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        Black-subtracted intensity, full scale = 1; defective pixels are filled from their
+        neighbours. Saturated areas keep what the camera said. Read-only.
+    valid : (height, width) bool
+        False: saturated, hot or dead. Read-only.
+    """
+
+    image: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+
+
+class _FrameCache:
+    """The frames used last, for several threads; travels empty through pickle."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._frames: OrderedDict[int, Frame] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, index: int) -> Frame | None:
+        with self._lock:
+            if index in self._frames:
+                self._frames.move_to_end(index)
+            return self._frames.get(index)
+
+    def put(self, index: int, frame: Frame) -> None:
+        with self._lock:
+            self._frames[index] = frame
+            while len(self._frames) > self._capacity:
+                self._frames.popitem(last=False)
+
+    def __reduce__(self) -> tuple[type[_FrameCache], tuple[int]]:
+        return _FrameCache, (self._capacity,)
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """Frames of one module taken by one camera; lazy and immutable.
+
+    Open one with :meth:`Sequence.open`. It holds the sensor's properties and file names; pixels
+    are read when asked for (the frames used last stay in a small cache). Reading from several
+    threads is safe, and it pickles.
+
+    Parameters
+    ----------
+    names : tuple of str
+        File name per frame: ``frame_003.tif``, or ``stack.tif[3]`` for a page.
+    shape : tuple of int
+        (height, width) of every frame.
+    bit_depth : int
+        Bits that the camera delivers, for instance 12 though stored in 16.
+    full_scale : float
+        DN at saturation.
+    black_level : float
+        DN without light: estimated, or the median of the dark frame. :meth:`frame` subtracts it
+        together with the fixed offsets of the columns (or the dark frame pixel by pixel).
+    layout_hint : dict
+        What ``module.json`` says of "rows", "cols", "cell_aspect"; empty if there is none.
+    source : Path
+        What was opened; the folder of the first one for a list of files.
+    noise : NoiseModel
+        Variance over intensity, full-scale units.
+    defects : (height, width) bool
+        Hot and dead pixels of the sensor.
+    """
+
+    names: tuple[str, ...]
+    shape: tuple[int, int]
+    bit_depth: int
+    full_scale: float
+    black_level: float
+    layout_hint: dict[str, Any]
+    source: Path
+    noise: NoiseModel
+    defects: NDArray[np.bool_] = field(repr=False)
+    _files: tuple[FrameFile, ...] = field(repr=False)
+    # (width,) or, out of a dark frame, (height, width); DN.
+    _black: NDArray[np.float32] = field(repr=False)
+    _cache: _FrameCache = field(repr=False)
+
+    @classmethod
+    def open(
+        cls, source: Path | str | Iterable[Path | str], dark_frame: Path | str | None = None
+    ) -> Sequence:
+        """Open frames and check all of them.
+
+        Parameters
+        ----------
+        source : path or paths
+            A folder of 8- or 16-bit TIFF or PNG files (or one that holds such a folder called
+            ``frames``), a TIFF of several pages, or a list of files. A folder is read in natural
+            order (frame_2 before frame_10), a list in its own.
+        dark_frame : path, optional
+            Image taken without current with the same camera and exposure.
+
+        Raises
+        ------
+        InspectionError
+            If anything is missing, unreadable, of different sizes or of the wrong type.
+        """
+        try:
+            root, paths = _find(source)
+        except OSError as error:
+            raise InspectionError(
+                f"{source} can't be read ({error.strerror}): check its permissions."
+            ) from None
+        files = tuple(file for path in paths for file in expand(path))
+        names = _names(files)
+        hint = read_sidecar(root, paths)
+        shape, maximum, used_bits = _check(files, names)
+        dtype = read_frame(files[0]).dtype
+        dark = None
+        if dark_frame is not None:
+            dark = _read_dark(Path(dark_frame), shape, dtype)
+            maximum = max(maximum, int(dark.max()))
+            used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
+        depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
+
+        picks = np.unique(np.linspace(0, len(files) - 1, min(len(files), _SAMPLE_FRAMES)).round())
+        stack = np.stack([read_frame(files[int(i)]) for i in picks])
+        defects = defective_pixels(stack, full_scale)
+        if dark is None:
+            columns = column_offsets(stack, full_scale)
+            level = min(black_level(temporal_median(stack) - columns), 0.5 * full_scale)
+            black = columns + np.float32(level)
+        else:
+            black, level = dark.astype(np.float32), float(np.median(dark))
+            bright = float(np.percentile(temporal_median(stack), 99.0))
+            if level >= full_scale or level > bright:
+                raise InspectionError(
+                    f"The dark frame {dark_frame} has a median of {level:g} DN and is brighter "
+                    f"than the frames ({bright:g} DN): give the image taken without current."
+                )
+            defects |= defective_pixels(dark[None], full_scale)
+        defects.flags.writeable = False
+        frames = [
+            _prepare(raw, black, level, full_scale, defects)
+            for raw in stack[:: max(1, len(stack) // 8)]
+        ]
+        noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
+        capacity = int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
+        return cls(
+            names,
+            shape,
+            depth,
+            full_scale,
+            level,
+            hint,
+            root,
+            noise,
+            defects,
+            files,
+            black,
+            _FrameCache(capacity),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def raw(self, index: int) -> Raw:
+        """Read frame ``index`` as stored: (height, width) uint8 or uint16, DN."""
+        return read_frame(self._files[index])
+
+    def frame(self, index: int) -> Frame:
+        """Return frame ``index`` ready for use.
+
+        Raises
+        ------
+        InspectionError
+            If the file has become unreadable since the sequence was opened.
+        """
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"Frame {index} of a sequence of {len(self)}.")
+        index %= len(self)
+        frame = self._cache.get(index)
+        if frame is None:
+            frame = _prepare(
+                self.raw(index), self._black, self.black_level, self.full_scale, self.defects
+            )
+            self._cache.put(index, frame)
+        return frame
+
+    def layout(self, settings: Settings) -> ModuleLayout:
+        """Return the module's layout; settings win over ``module.json``.
+
+        Raises
+        ------
+        InspectionError
+            If neither says how many rows and columns of cells the module has.
+        """
+        known = dict(self.layout_hint)
+        for key in ("rows", "cols", "cell_aspect"):
+            if getattr(settings, key) is not None:
+                known[key] = getattr(settings, key)
+        missing = [key for key in ("rows", "cols") if key not in known]
+        if missing:
+            raise InspectionError(
+                f"The number of {' and '.join(missing)} of cells is unknown for {self.source}: "
+                f"give {' and '.join('--' + key for key in missing)}, or put a module.json with "
+                "rows and cols beside the frames."
+            )
+        return ModuleLayout(known["rows"], known["cols"], float(known.get("cell_aspect", 1.0)))
+
+
+def _prepare(
+    raw: Raw,
+    black: NDArray[np.float32],
+    level: float,
+    full_scale: float,
+    defects: NDArray[np.bool_],
+) -> Frame:
+    image = (raw.astype(np.float32) - black) / np.float32(full_scale - level)
+    valid = (raw < full_scale) & ~defects
+    image = fill_pixels(image, defects, valid)
+    image.flags.writeable = False
+    valid.flags.writeable = False
+    return Frame(image, valid)
+
+
+def _find(source: Path | str | Iterable[Path | str]) -> tuple[Path, list[Path]]:
+    """Resolve what the user gave to (source, image files in order)."""
+    if not isinstance(source, (str, Path)):
+        paths = [Path(p) for p in source]
+        if not paths:
+            raise InspectionError("The list of frames is empty: give at least one TIFF or PNG.")
+        seen: set[Path] = set()
+        for path in paths:
+            if path.resolve() in seen:
+                raise InspectionError(
+                    f"{path} is in the list of frames twice: a frame counts once, remove the copy."
+                )
+            seen.add(path.resolve())
+        return paths[0].parent, [_existing_image(p) for p in paths]
+    path = Path(source)
+    if path.is_dir():
+        inner = path / "frames"
+        folder = inner if inner.is_dir() and _images_in(inner) else path
+        images = _images_in(folder)
+        if not images:
+            raise InspectionError(
+                f"{path} holds no TIFF or PNG image: give the folder that the frames are in."
+            )
+        return path, images
+    if not path.exists():
+        raise InspectionError(
+            f"{path} does not exist: give a folder of frames, a TIFF with several pages, or a "
+            "list of images."
+        )
+    return path, [_existing_image(path)]
+
+
+def _existing_image(path: Path) -> Path:
+    if not path.is_file():
+        raise InspectionError(f"{path} is no existing file: correct its name or leave it out.")
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InspectionError(
+            f"{path} is no TIFF or PNG file: convert it losslessly to one of them."
+        )
+    return path
+
+
+def _images_in(folder: Path) -> list[Path]:
+    images = [
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".") and p.is_file()
+    ]
+    return sorted(images, key=lambda p: natural_key(p.name))
+
+
+def _names(files: tuple[FrameFile, ...]) -> tuple[str, ...]:
+    """File names, with as many parent folders as it takes to tell the frames apart."""
+    depth = 1
+    while True:
+        names = tuple(f.label("/".join(f.path.resolve().parts[-depth:])) for f in files)
+        if len(set(names)) == len(names):
+            return names
+        depth += 1
+
+
+def _check(
+    files: tuple[FrameFile, ...], names: tuple[str, ...]
+) -> tuple[tuple[int, int], int, int]:
+    """Decode every frame once; return (shape, maximum, bitwise or of all values)."""
+    shapes, dtypes = [], []
+    maximum, used_bits = 0, 0
+    for file in files:
+        image = read_frame(file)
+        shapes.append((image.shape[0], image.shape[1]))
+        dtypes.append(image.dtype)
+        maximum = max(maximum, int(image.max()))
+        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
+    shape = Counter(shapes).most_common(1)[0][0]
+    dtype = Counter(dtypes).most_common(1)[0][0]
+    for name, other, kind in zip(names, shapes, dtypes, strict=True):
+        if other != shape:
+            raise InspectionError(
+                f"{name} is {other[1]} x {other[0]}, the sequence is {shape[1]} x {shape[0]}: "
+                "remove it or load it as its own sequence."
+            )
+        if kind != dtype:
+            raise InspectionError(
+                f"{name} has {8 * kind.itemsize} bits, the sequence has {8 * dtype.itemsize}: "
+                "remove it or export all frames alike."
+            )
+    if min(shape) < _SMALLEST_SIDE_PX:
+        raise InspectionError(
+            f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
+            f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
+        )
+    return shape, maximum, used_bits
+
+
+def _read_dark(path: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Raw:
+    pages = [read_frame(file) for file in expand(_existing_image(path))]
+    for page in pages:
+        if page.shape != shape or page.dtype != dtype:
+            raise InspectionError(
+                f"The dark frame {path} is {page.shape[1]} x {page.shape[0]} with "
+                f"{8 * page.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
+                f"{8 * dtype.itemsize}: take it with the same camera settings."
+            )
+    if len(pages) == 1:
+        return pages[0]
+    median: Raw = temporal_median(np.stack(pages)).astype(dtype)
+    return median

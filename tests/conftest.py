@@ -1,0 +1,47 @@
+"""Fixtures shared by the tests of the core."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pv_inspect.simulate import (
+    SimulatedSequence,
+    SimulationSettings,
+    simulated,
+    write_sequence,
+)
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def shared_sequences() -> Path:
+    """Folder of the simulated sequences with truth that lies beside the repository."""
+    folder = ROOT.parent / "shared" / "data" / "sequences"
+    if not folder.is_dir():
+        pytest.skip("the sequences in ../shared/data/sequences are not on this machine")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def small_sequence(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedSequence, Path]:
+    """Eight frames of 4 x 6 cells, 288 x 216 px, with their truth in memory and on disk."""
+    settings = SimulationSettings(
+        seed=5,
+        rows=4,
+        cols=6,
+        n_frames=8,
+        width=288,
+        height=216,
+        kappa=-0.15,
+        tilt_deg=10,
+        pixels_per_unit=160,
+        supersampling=4,
+        jitter_px=2.0,
+    )
+    simulation = simulated(settings)
+    folder = tmp_path_factory.mktemp("sequences") / "small"
+    write_sequence(simulation, folder)
+    return simulation, folder

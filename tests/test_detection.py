@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pv_inspect.detection import Crossings, detect
+from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.sequence import Sequence
+from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
+
+
+def _finish(generator: Any) -> Any:
+    fractions = []
+    while True:
+        try:
+            fractions.append(next(generator))
+        except StopIteration as done:
+            assert fractions == sorted(fractions)
+            return done.value
+
+
+def _in_memory(frames: list[np.ndarray]) -> Any:
+    images = [SimpleNamespace(image=frame) for frame in frames]
+
+    class Frames:
+        names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
+        shape = frames[0].shape
+
+        def __len__(self) -> int:
+            return len(frames)
+
+        def frame(self, index: int) -> Any:
+            return images[index]
+
+    return Frames()
+
+
+def _floats(simulation: SimulatedSequence) -> list[np.ndarray]:
+    return [(frame.astype(np.float32) - 64) / 4031 for frame in simulation.frames]
+
+
+def _rmse(crossings: Crossings, simulation: SimulatedSequence, frame: int) -> float:
+    found = crossings.frames[frame]
+    error = found.points_px - simulation.crossings_px(frame)
+    return float(np.sqrt((error[found.measured] ** 2).sum(axis=1).mean()))
+
+
+def test_crossings_of_a_distorted_tilted_module_are_found_to_a_third_of_a_pixel(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, folder = small_sequence
+    crossings = _finish(detect(Sequence.open(folder), ModuleLayout(4, 6)))
+    assert all(frame.why == "" for frame in crossings.frames)
+    assert max(_rmse(crossings, simulation, i) for i in range(8)) < 0.35
+    assert np.mean([frame.measured.mean() for frame in crossings.frames]) > 0.9
+
+
+@pytest.mark.parametrize(("rows", "cols", "aspect"), [(4, 6, 0.5), (3, 10, 2.0)])
+def test_half_cut_cells_and_upright_modules_are_found(rows: int, cols: int, aspect: float) -> None:
+    settings = SimulationSettings(
+        seed=2,
+        rows=rows,
+        cols=cols,
+        cell_aspect=aspect,
+        n_frames=1,
+        width=360,
+        height=360,
+        roll_deg=30,
+        kappa=0.1,
+        pixels_per_unit=150,
+        supersampling=4,
+    )
+    simulation = simulated(settings)
+    crossings = _finish(detect(_in_memory(_floats(simulation)), settings.layout))
+    assert crossings.frames[0].why == ""
+    assert _rmse(crossings, simulation, 0) < 0.4
+
+
+def test_a_black_and_a_saturated_frame_fail_with_their_reason_and_the_others_do_not(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frames = _floats(simulation)[:4]
+    noise = np.random.default_rng(0).normal(0, 0.003, frames[0].shape)
+    frames[1] = noise.astype(np.float32)
+    frames[2] = np.ones_like(frames[2])
+    crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+    assert [frame.why.split(":")[0] for frame in crossings.frames] == ["", "black", "saturated", ""]
+
+
+def test_a_frame_that_cuts_the_module_is_found_from_its_neighbour(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frames = _floats(simulation)[:2]
+    shift = 40
+    frames[1] = np.roll(frames[1], -shift, axis=1)
+    frames[1][:, -shift:] = 0
+    crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+    assert crossings.frames[1].why == ""
+    found = crossings.frames[1]
+    error = found.points_px - (simulation.crossings_px(1) - [shift, 0])
+    assert np.sqrt((error[found.measured] ** 2).sum(axis=1).mean()) < 0.5
+    outside = found.points_px[:, 0] < 0
+    assert outside.any()
+    assert not found.measured[outside].any()
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(5, 6), (3, 6), (4, 7), (6, 10), (2, 3)])
+def test_wrong_rows_or_columns_are_refused_in_one_sentence(
+    small_sequence: tuple[SimulatedSequence, Path], rows: int, cols: int
+) -> None:
+    simulation, _ = small_sequence
+    frames = _in_memory(_floats(simulation)[:2])
+    with pytest.raises(InspectionError, match=r"No frame shows a module of .* check"):
+        _finish(detect(frames, ModuleLayout(rows, cols)))
+
+
+def test_a_picture_without_a_module_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    picture = rng.normal(0.3, 0.02, (200, 260)).astype(np.float32)
+    picture[40:140, 50:170] += 0.3
+    with pytest.raises(InspectionError, match="No frame shows a module"):
+        _finish(detect(_in_memory([picture]), ModuleLayout(4, 6)))
+
+
+def test_the_order_of_the_frames_does_not_matter(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frames = _floats(simulation)[:3]
+    layout = ModuleLayout(4, 6)
+    one = _finish(detect(_in_memory(frames), layout))
+    other = _finish(detect(_in_memory(frames[::-1]), layout))
+    for a, b in zip(one.frames, other.frames[::-1], strict=True):
+        np.testing.assert_allclose(a.points_px, b.points_px)
+
+
+def test_the_intensity_scale_does_not_matter(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frame = _floats(simulation)[0]
+    layout = ModuleLayout(4, 6)
+    one = _finish(detect(_in_memory([frame]), layout)).frames[0]
+    other = _finish(detect(_in_memory([0.3 * frame]), layout)).frames[0]
+    np.testing.assert_allclose(one.points_px, other.points_px, atol=0.02)

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pv_inspect.edges import cell_edges, measure_edges
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.outline import Pose, conventional_camera
+
+SHAPE = (160, 200)
+LAYOUT = ModuleLayout(3, 4)
+PITCH = 40.0
+
+
+def _pose(shift: tuple[float, float] = (0.0, 0.0)) -> Pose:
+    camera = conventional_camera(SHAPE)
+    f = camera.K[0, 0]
+    origin = np.array([20.0, 20.0]) + shift
+    to_px = np.array([[PITCH, 0, origin[0]], [0, PITCH, origin[1]], [0, 0, 1]])
+    assert f > 0
+    return Pose(camera, np.linalg.inv(camera.K) @ to_px)
+
+
+def _module(levels: np.ndarray, gap: float = 0.03) -> np.ndarray:
+    """Cells with sharp dark gaps, area-sampled 8 x 8 and blurred slightly by the averaging."""
+    n = 8
+    rows, cols = np.mgrid[0 : SHAPE[0] * n, 0 : SHAPE[1] * n] / n - 0.5 + 0.5 / n
+    x, y = (cols - 20) / PITCH, (rows - 20) / PITCH
+    inside = (x > 0) & (x < 4) & (y > 0) & (y < 3)
+    i, j = np.clip(y.astype(int), 0, 2), np.clip(x.astype(int), 0, 3)
+    near = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y))) < gap / 2
+    scene = np.where(inside & ~near, levels[i, j], 0.03)
+    return scene.reshape(SHAPE[0], n, SHAPE[1], n).mean(axis=(1, 3)).astype(np.float32)
+
+
+def test_every_edge_joins_its_two_crossings() -> None:
+    edges = cell_edges(LAYOUT)
+    ends = LAYOUT.crossings()[edges.crossings]
+    np.testing.assert_allclose(ends.mean(axis=1), edges.middle)
+    np.testing.assert_allclose(ends[:, 1] - ends[:, 0], edges.along)
+    assert edges.inner.sum() == 3 * 3 + 2 * 4
+    np.testing.assert_allclose((edges.normal * edges.along).sum(axis=1), 0)
+
+
+def test_gaps_between_unequal_cells_are_measured_without_bias() -> None:
+    levels = np.random.default_rng(3).uniform(0.3, 0.9, (3, 4))
+    image = _module(levels)
+    shift = np.array([1.3, -0.9])
+    edges = cell_edges(LAYOUT)
+    offsets = measure_edges(image, edges, _pose(tuple(shift)), 0.12)
+    expected = -(edges.normal * shift).sum(axis=1) / PITCH
+    assert offsets.found.all()
+    error_px = (offsets.offset - expected) * PITCH
+    assert np.abs(error_px[edges.inner]).max() < 0.06
+    assert np.abs(error_px[~edges.inner]).max() < 0.3
+
+
+def test_an_image_without_gaps_has_no_edges() -> None:
+    rng = np.random.default_rng(0)
+    image = rng.normal(0.5, 0.02, SHAPE).astype(np.float32)
+    edges = cell_edges(LAYOUT)
+    offsets = measure_edges(image, edges, _pose(), 0.12)
+    assert offsets.found[edges.inner].mean() < 0.3
+
+
+@pytest.mark.parametrize("scale", [0.1, 7.0])
+def test_the_offsets_do_not_depend_on_the_intensity_scale(scale: float) -> None:
+    image = _module(np.full((3, 4), 0.6))
+    edges = cell_edges(LAYOUT)
+    one = measure_edges(image, edges, _pose((0.4, 0.2)), 0.1)
+    other = measure_edges(image * np.float32(scale), edges, _pose((0.4, 0.2)), 0.1)
+    np.testing.assert_allclose(one.offset, other.offset, atol=1e-4)
