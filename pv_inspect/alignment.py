@@ -153,6 +153,7 @@ def normal_equations(
     """
     height, width = image.shape
     rows = (height + stride - 1) // stride
+    columns = (width + stride - 1) // stride
     H, W = module.shape
     centre_x = 0.5 * (W - 1)
     centre_y = 0.5 * (H - 1)
@@ -166,7 +167,12 @@ def normal_equations(
         wy = np.empty(4)
         sx = np.empty(4)
         sy = np.empty(4)
-        J = np.empty(n)
+        # Rows of the Jacobian and its weighted copy; one matrix product per image row is far
+        # faster than adding every pixel's outer product.
+        J = np.empty((n, columns))
+        weighted = np.empty((n, columns))
+        residual = np.empty(columns)
+        m = 0
         for col in range(0, width, stride):
             p = precision[row, col]
             if p <= 0:
@@ -210,25 +216,25 @@ def normal_equations(
             gx = gain * fx * size
             gy = gain * fy * size
             along = -(gx * zx + gy * zy)
-            J[0] = gx * zx
-            J[1] = gx * zy
-            J[2] = gx
-            J[3] = gy * zx
-            J[4] = gy * zy
-            J[5] = gy
-            J[6] = along * zx
-            J[7] = along * zy
-            J[8] = f
-            J[9] = 1.0
+            J[0, m] = gx * zx
+            J[1, m] = gx * zy
+            J[2, m] = gx
+            J[3, m] = gy * zx
+            J[4, m] = gy * zy
+            J[5, m] = gy
+            J[6, m] = along * zx
+            J[7, m] = along * zy
+            J[8, m] = f
+            J[9, m] = 1.0
             for a in range(n):
-                weighted = p * J[a]
-                right[k, a] += weighted * r
-                for c in range(a, n):
-                    partial[k, a, c] += weighted * J[c]
+                weighted[a, m] = p * J[a, m]
+            residual[m] = r
             sums[k, 0] += p * r * r
-            sums[k, 1] += 1.0
-    A = partial.sum(axis=0)
-    for a in range(n):
-        for c in range(a):
-            A[a, c] = A[c, a]
-    return A, right.sum(axis=0), sums[:, 0].sum(), sums[:, 1].sum()
+            m += 1
+        sums[k, 1] = m
+        if m > 0:
+            used = np.ascontiguousarray(J[:, :m])
+            used_weighted = np.ascontiguousarray(weighted[:, :m])
+            partial[k] = np.dot(used_weighted, used.T)
+            right[k] = np.dot(used_weighted, residual[:m])
+    return partial.sum(axis=0), right.sum(axis=0), sums[:, 0].sum(), sums[:, 1].sum()

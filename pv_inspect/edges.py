@@ -24,6 +24,8 @@ BLUR_PX = (0.65, 1.0, 1.6)
 FIT_PX = 3.5
 MIN_SIGNIFICANCE = 4.0
 MIN_DEPTH = 0.04
+CORRELATED = 3.0
+LINE_ITERATIONS = 4
 
 
 @dataclass(frozen=True)
@@ -179,41 +181,47 @@ def _profiles(
     return values.mean(axis=1).astype(np.float64), inside.all(axis=(1, 2))
 
 
-def _basis(d: Array, centre: float, blur: float, reach: float) -> tuple[NDArray[np.intp], Array]:
-    window = np.flatnonzero(np.abs(d - centre) <= reach)
-    t = (d[window] - centre) / blur
+def _windows(profiles: Array, d: Array, search: float, reach: float) -> tuple[Array, Array, Array]:
+    """Cut the part within `reach` of every candidate place out of each profile.
+
+    Returns the candidates (k,), the distances (m,) within a part, and the parts (n, k, m).
+    """
+    step = float(d[1] - d[0])
+    candidates = np.flatnonzero(np.abs(d) <= search)
+    half = min(int(reach / step), int(candidates[0]))
+    first, last = candidates[0] - half, candidates[-1] + half + 1
+    parts = np.lib.stride_tricks.sliding_window_view(profiles[:, first:last], 2 * half + 1, axis=1)
+    return d[candidates], step * np.arange(-half, half + 1), parts
+
+
+def _line_basis(t: Array) -> Array:
+    """Level on the left, level on the right, dark line: (..., 3) for distances t in blurs."""
     step = ndtr(t)
-    return window, np.column_stack([1 - step, step, np.exp(-0.5 * t**2)])
+    return np.stack([1 - step, step, np.exp(-0.5 * t**2)], axis=-1)
 
 
 def _search(
     profiles: Array, d: Array, search: float, blur: float, reach: float
-) -> tuple[Array, Array, Array]:
-    """Significance of a dark line at every candidate place: (n, n_candidates)."""
-    candidates = d[np.abs(d) <= search]
-    significance = np.empty((len(profiles), len(candidates)))
-    cost = np.empty_like(significance)
-    for k, centre in enumerate(candidates):
-        window, basis = _basis(d, centre, blur, reach)
-        inverse = np.linalg.pinv(basis)
-        part = profiles[:, window]
-        coefficients = part @ inverse.T
-        residual = part - coefficients @ basis.T
-        cost[:, k] = (residual**2).mean(axis=1)
-        # Samples are 0.25 px apart and interpolated: about one in three is independent.
-        variance = cost[:, k] * 3 * (inverse[2] ** 2).sum() + 1e-14
-        significance[:, k] = -coefficients[:, 2] / np.sqrt(variance)
-        level = np.maximum(np.minimum(coefficients[:, 0], coefficients[:, 1]), 1e-6)
-        shallow = -coefficients[:, 2] < MIN_DEPTH * level
-        significance[shallow, k] = 0
-    return candidates, significance, cost
+) -> tuple[Array, Array, Array, Array]:
+    """Significance of a dark line at every candidate place, (n, k), with `_windows`."""
+    candidates, distance, parts = _windows(profiles, d, search, reach)
+    basis = _line_basis(distance / blur)
+    inverse = np.linalg.pinv(basis)
+    coefficients = parts @ inverse.T
+    residual = np.square(parts - coefficients @ basis.T).mean(axis=-1)
+    # Samples are 0.25 px apart and interpolated: about one in three is independent.
+    variance = CORRELATED * residual * (inverse[2] ** 2).sum() + 1e-14
+    significance = -coefficients[..., 2] / np.sqrt(variance)
+    level = np.maximum(coefficients[..., :2].min(axis=-1), 1e-6)
+    significance[-coefficients[..., 2] < MIN_DEPTH * level] = 0
+    return candidates, distance, parts, significance
 
 
 def _best_blur(profiles: Array, d: Array, search: float, px: float) -> float:
-    scores = []
-    for blur in BLUR_PX:
-        _, significance, _ = _search(profiles, d, search, blur * px, FIT_PX * px)
-        scores.append(float(np.median(significance.max(axis=1))))
+    scores = [
+        float(np.median(_search(profiles, d, search, blur * px, FIT_PX * px)[3].max(axis=1)))
+        for blur in BLUR_PX
+    ]
     return BLUR_PX[int(np.argmax(scores))]
 
 
@@ -221,56 +229,55 @@ def _fit_lines(
     profiles: Array, d: Array, search: float, blur: float, reach: float
 ) -> tuple[Array, Array, Array]:
     """Offset, its standard deviation, and the depth of the dark line (0 where not significant)."""
-    candidates, significance, _ = _search(profiles, d, search, blur, reach)
+    candidates, distance, parts, significance = _search(profiles, d, search, blur, reach)
+    n = len(profiles)
     best = significance.argmax(axis=1)
-    peak = significance[np.arange(len(best)), best]
-    offset = candidates[best].astype(np.float64)
-    sigma = np.full(len(best), np.inf)
-    depth = np.zeros(len(best))
-    for k in np.flatnonzero(peak > MIN_SIGNIFICANCE):
-        centre = offset[k]
-        for _ in range(4):
-            window, basis = _basis(d, centre, blur, reach)
-            part = profiles[k, window]
-            coefficients, *_ = np.linalg.lstsq(basis, part, rcond=None)
-            t = (d[window] - centre) / blur
-            bell = basis[:, 2]
-            # dp/dc of the model at its present coefficients.
-            slope = (
-                (coefficients[0] - coefficients[1]) * bell / np.sqrt(2 * np.pi)
-                + coefficients[2] * t * bell
-            ) / blur
-            design = np.column_stack([basis, slope])
-            solution, *_ = np.linalg.lstsq(design, part, rcond=None)
-            move = float(np.clip(solution[3], -blur, blur))
-            centre += move
-            if abs(move) < 1e-3 * blur:
-                break
-        if abs(centre - offset[k]) > 3 * blur:
-            continue
-        residual = part - design @ solution
-        covariance = np.linalg.pinv(design.T @ design)[3, 3]
-        sigma[k] = np.sqrt(3 * (residual**2).mean() * covariance)
-        offset[k] = centre
-        depth[k] = -coefficients[2]
-    return offset, sigma, depth
+    start = candidates[best]
+    part = parts[np.arange(n), best]
+    centre = np.zeros(n)
+    for _ in range(LINE_ITERATIONS):
+        t = (distance - centre[:, None]) / blur
+        basis = _line_basis(t)
+        levels = _least_squares(basis, part)
+        bell = basis[..., 2]
+        # dp/dc of the model at its present coefficients.
+        slope = (
+            (levels[:, 0] - levels[:, 1])[:, None] * bell / np.sqrt(2 * np.pi)
+            + levels[:, 2, None] * t * bell
+        ) / blur
+        design = np.concatenate([basis, slope[..., None]], axis=-1)
+        solution = _least_squares(design, part)
+        centre += np.clip(solution[:, 3], -blur, blur)
+    residual = np.square(part - np.einsum("nmk,nk->nm", design, solution)).mean(axis=1)
+    covariance = np.linalg.inv(_gram(design))[:, 3, 3]
+    significant = significance[np.arange(n), best] > MIN_SIGNIFICANCE
+    good = significant & (np.abs(centre) <= 3 * blur)
+    sigma = np.where(good, np.sqrt(CORRELATED * residual * np.abs(covariance)), np.inf)
+    return np.where(good, start + centre, np.nan), sigma, np.where(good, -levels[:, 2], 0.0)
+
+
+def _gram(design: Array) -> Array:
+    """Normal matrices of many small problems, with a ridge that only matters if one is singular."""
+    gram = np.einsum("nmi,nmj->nij", design, design)
+    trace = np.trace(gram, axis1=1, axis2=2)
+    return np.asarray(gram + 1e-10 * (trace[:, None, None] + 1e-30) * np.eye(gram.shape[-1]))
+
+
+def _least_squares(design: Array, values: Array) -> Array:
+    right = np.einsum("nmi,nm->ni", design, values)
+    return np.asarray(np.linalg.solve(_gram(design), right[..., None])[..., 0])
 
 
 def _fit_steps(
     profiles: Array, d: Array, search: float, blur: float, reach: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Place of a dark-to-bright step along +d, its standard deviation, and whether it is there."""
-    candidates = d[np.abs(d) <= search]
-    height = np.empty((len(profiles), len(candidates)))
-    noise = np.empty_like(height)
-    for k, centre in enumerate(candidates):
-        window = np.flatnonzero(np.abs(d - centre) <= reach)
-        step = ndtr((d[window] - centre) / blur)
-        inverse = np.linalg.pinv(np.column_stack([1 - step, step]))
-        part = profiles[:, window]
-        levels = part @ inverse.T
-        height[:, k] = levels[:, 1] - levels[:, 0]
-        noise[:, k] = (part - levels @ np.vstack([1 - step, step])).std(axis=1)
+    candidates, distance, parts = _windows(profiles, d, search, reach)
+    step = ndtr(distance / blur)
+    basis = np.column_stack([1 - step, step])
+    levels = parts @ np.linalg.pinv(basis).T
+    height = levels[..., 1] - levels[..., 0]
+    noise = (parts - levels @ basis.T).std(axis=-1)
     score = height / np.sqrt(noise**2 + (0.02 * np.abs(height).max()) ** 2)
     best = score.argmax(axis=1)
     inside = (best > 0) & (best < len(candidates) - 1)
@@ -288,15 +295,15 @@ def _fit_steps(
 
 def _gap_width(profiles: Array, d: Array, offset: Array, px: float) -> float:
     """Width of a gap from its missing light, which blur does not change."""
-    widths = []
-    for profile, centre in zip(profiles, offset, strict=True):
-        t = (d - centre) / px
-        beside = (np.abs(t) > 2.2) & (np.abs(t) <= 3.5)
-        across = np.abs(t) <= 2.2
-        left, right = profile[beside & (t < 0)], profile[beside & (t > 0)]
-        if not left.size or not right.size:
-            continue
-        level = np.where(t[across] < 0, left.mean(), right.mean())
-        if left.mean() > 0 and right.mean() > 0:
-            widths.append(float((1 - profile[across] / level).sum() * (d[1] - d[0])))
-    return float(np.clip(np.median(widths), 0, 0.1)) if widths else 0.0
+    t = (d - offset[:, None]) / px
+    beside = (np.abs(t) > 2.2) & (np.abs(t) <= 3.5)
+    left, right = (
+        np.where(side, profiles, 0).sum(axis=1) / np.maximum(side.sum(axis=1), 1)
+        for side in (beside & (t < 0), beside & (t > 0))
+    )
+    good = (left > 0) & (right > 0)
+    if not good.any():
+        return 0.0
+    level = np.where(t < 0, left[:, None], right[:, None])[good]
+    missing = np.where(np.abs(t[good]) <= 2.2, 1 - profiles[good] / level, 0).sum(axis=1)
+    return float(np.clip(np.median(missing) * (d[1] - d[0]), 0, 0.1))

@@ -36,7 +36,7 @@ class _Round:
     iterations: int
 
 
-ROUNDS = (_Round(2.5, 2, 6), _Round(1.0, 2, 4), _Round(0.0, 1, 3), _Round(0.0, 1, 2))
+ROUNDS = (_Round(2.5, 2, 5), _Round(1.0, 2, 3), _Round(0.0, 2, 3), _Round(0.0, 1, 2))
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 REFERENCE_MAGNIFICATION = 2.0
 HUBER = 2.5

@@ -30,7 +30,7 @@ def _finish(generator: Any) -> Any:
 
 def _true_calibration(simulation: SimulatedSequence) -> Calibration:
     count = len(simulation.poses)
-    camera = Camera(simulation.K, simulation.settings.kappa)
+    camera = Camera(simulation.camera_matrix, simulation.settings.kappa)
     return Calibration(
         layout=LAYOUT,
         camera=camera,
