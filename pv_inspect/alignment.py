@@ -15,7 +15,7 @@ N_PARAMETERS = 10
 """Eight of the homography, then gain and offset."""
 
 
-@numba.njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, inline="always")
 def _cubic(t, weights):  # type: ignore[no-untyped-def]
     """Catmull-Rom weights of the samples at -1, 0, 1, 2 for a place t in [0, 1)."""
     weights[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
@@ -24,7 +24,7 @@ def _cubic(t, weights):  # type: ignore[no-untyped-def]
     weights[3] = (0.5 * t - 0.5) * t * t
 
 
-@numba.njit(cache=True, inline="always")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, inline="always")
 def _cubic_slope(t, weights):  # type: ignore[no-untyped-def]
     """Derivatives of `_cubic` with respect to t."""
     weights[0] = (-1.5 * t + 2.0) * t - 0.5
@@ -33,7 +33,7 @@ def _cubic_slope(t, weights):  # type: ignore[no-untyped-def]
     weights[3] = (1.5 * t - 1.0) * t
 
 
-@numba.njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, parallel=True)
 def accumulate_frame(
     total: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -95,7 +95,7 @@ def accumulate_frame(
             weight[row, col] += 1.0
 
 
-@numba.njit(cache=True, parallel=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, parallel=True)
 def normal_equations(
     image: NDArray[np.float32],
     precision: NDArray[np.float32],

@@ -19,13 +19,38 @@ Array = NDArray[np.float64]
 ALONG = np.linspace(0.2, 0.8, 13)
 """Where along an edge the profile is averaged: the cut corners of mono cells stay outside."""
 STEP_PX = 0.25
-BLUR_PX = (0.65, 1.0, 1.6)
-"""Standard deviations of the gap's image that are tried: sharp, soft, blurred by motion."""
-FIT_PX = 3.5
 MIN_SIGNIFICANCE = 4.0
 MIN_DEPTH = 0.04
 CORRELATED = 3.0
-LINE_ITERATIONS = 4
+GAP_ITERATIONS = 4
+MAX_GAP_PX = 4.0
+
+
+@dataclass(frozen=True)
+class GapShape:
+    """Image of a gap, in pixels: blur, width, and how far from it the model is fitted.
+
+    Close to the gap the cells are taken as uniform; many are darker towards their edges, so a
+    sharp picture is fitted only nearby.
+    """
+
+    blur: float
+    width: float
+    reach: float
+
+    def scaled(self, factor: float) -> GapShape:
+        """Return the shape in an image with `factor` times as many pixels per length."""
+        return GapShape(self.blur * factor, self.width * factor, self.reach * factor)
+
+
+SHARP_GAP = GapShape(0.6, 1.3, 1.75)
+GAP_SHAPES = (
+    SHARP_GAP,
+    GapShape(0.65, 1.0, 3.5),
+    GapShape(1.0, 1.0, 3.5),
+    GapShape(1.6, 1.0, 4.0),
+)
+"""What is tried: sharp, sharp but noisy, soft, blurred by motion; LR pixels."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +124,12 @@ def cell_edges(layout: ModuleLayout) -> CellEdges:
 
 
 def measure_edges(
-    image: NDArray[np.float32], edges: CellEdges, pose: Pose, search: float
+    image: NDArray[np.float32],
+    edges: CellEdges,
+    pose: Pose,
+    search: float,
+    lr_px: float = 1.0,
+    shapes: tuple[GapShape, ...] | None = None,
 ) -> EdgeOffsets:
     """Measure where the gaps lie relative to a pose.
 
@@ -111,6 +141,11 @@ def measure_edges(
         Right to about `search`.
     search : float
         Half width of the search, module units.
+    lr_px : float
+        Image pixels per LR pixel, if the image is a magnified one.
+    shapes : tuple of GapShape, optional
+        Images of a gap that are tried, LR pixels; the one with the most significant gaps is taken
+        for all edges of a direction. Default `GAP_SHAPES`.
 
     Returns
     -------
@@ -118,47 +153,51 @@ def measure_edges(
 
     Notes
     -----
-    A profile p(d) across an inner edge is modelled as a step plus a dark line at the same place,
-    p(d) = L (1 - Phi(t)) + R Phi(t) - b exp(-t^2 / 2), t = (d - c) / s, linear in L, R, b. The
-    place c with the most significant b > 0 is refined by Gauss-Newton. An outer edge is measured
-    as a step alone: it lies half a gap inside of the cell's pitch.
+    A profile across an inner edge is modelled as two levels L, R and a gap of width w and level G
+    between them, blurred by a Gaussian of standard deviation s. With x the distance from the gap,
+
+        p(x) = L (1 - A) + G (A - B) + R B,   A = Phi((x + w/2) / s),  B = Phi((x - w/2) / s),
+
+    which is linear in L, R, G. The place with the most significant (L + R) / 2 - G > 0 is refined
+    by Gauss-Newton. An outer edge is measured as a step alone: it lies half a gap inside of the
+    cell's pitch.
     """
-    scale = _scale_px(edges, pose)
-    reach = search + (FIT_PX + 2 * STEP_PX) / float(np.nanmedian(scale))
-    step = STEP_PX / float(np.nanmedian(scale))
-    half = int(np.ceil(reach / step))
-    d = step * np.arange(-half, half + 1)
-    profiles, visible = _profiles(image, edges, pose, d)
-    offset = np.full(len(profiles), np.nan)
+    # Image pixels per module unit; everything below is in image pixels.
+    scale = float(np.nanmedian(_scale_px(edges, pose)))
+    shapes = tuple(shape.scaled(lr_px) for shape in shapes or GAP_SHAPES)
+    reach = search * scale + max(shape.reach for shape in shapes) + 2 * STEP_PX
+    half = int(np.ceil(reach / STEP_PX))
+    x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
+    search_px = max(search * scale, STEP_PX)
+    profiles, visible = _profiles(image, edges, pose, x / scale)
+    place = np.full(len(profiles), np.nan)
     sigma = np.full(len(profiles), np.inf)
-    depth = np.zeros(len(profiles))
-    px = step / STEP_PX
+    found = np.zeros(len(profiles), bool)
     for axis in range(2):
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
-        if not inner.any():
-            continue
-        blur = _best_blur(profiles[inner], d, search, px)
-        offset[inner], sigma[inner], depth[inner] = _fit_lines(
-            profiles[inner], d, search, blur * px, FIT_PX * px
-        )
+        if inner.any():
+            shape = _best_shape(profiles[inner], x, search_px, shapes)
+            place[inner], sigma[inner], found[inner] = _fit_gaps(
+                profiles[inner], x, search_px, shape
+            )
     with np.errstate(invalid="ignore"):
-        found = visible & (depth > 0) & (np.abs(offset) <= search)
+        found &= np.abs(place) <= search_px
     outer = visible & ~edges.inner
     if outer.any() and found.any():
         flipped = profiles[outer].copy()
         turn = edges.side[outer] < 0
         flipped[turn] = flipped[turn][:, ::-1]
-        gap = _gap_width(profiles[found], d, offset[found], px)
-        place, deviation, good = _fit_steps(flipped, d, search, 0.8 * px, FIT_PX * px)
-        offset[outer] = np.where(turn, -1, 1) * (place - gap / 2)
-        sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1 * px)
+        gap = _gap_width(profiles[found], x, place[found], lr_px)
+        step, deviation, good = _fit_steps(flipped, x, search_px, 0.8 * lr_px, 3.5 * lr_px)
+        place[outer] = np.where(turn, -1, 1) * (step - gap / 2)
+        sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1 * lr_px)
         found[outer] = good
-    return EdgeOffsets(np.where(found, offset, np.nan), sigma, found, visible)
+    return EdgeOffsets(np.where(found, place / scale, np.nan), sigma / scale, found, visible)
 
 
 def _scale_px(edges: CellEdges, pose: Pose) -> Array:
     jacobian = pose.camera.jacobian(pose.homography, edges.middle)
-    return np.asarray(np.sqrt(np.abs(np.linalg.det(jacobian))))
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(jacobian))), np.float64)
 
 
 def _profiles(
@@ -181,79 +220,80 @@ def _profiles(
     return values.mean(axis=1).astype(np.float64), inside.all(axis=(1, 2))
 
 
-def _windows(profiles: Array, d: Array, search: float, reach: float) -> tuple[Array, Array, Array]:
+def _windows(profiles: Array, x: Array, search: float, reach: float) -> tuple[Array, Array, Array]:
     """Cut the part within `reach` of every candidate place out of each profile.
 
     Returns the candidates (k,), the distances (m,) within a part, and the parts (n, k, m).
     """
-    step = float(d[1] - d[0])
-    candidates = np.flatnonzero(np.abs(d) <= search)
+    step = float(x[1] - x[0])
+    candidates = np.flatnonzero(np.abs(x) <= search)
     half = min(int(reach / step), int(candidates[0]))
     first, last = candidates[0] - half, candidates[-1] + half + 1
     parts = np.lib.stride_tricks.sliding_window_view(profiles[:, first:last], 2 * half + 1, axis=1)
-    return d[candidates], step * np.arange(-half, half + 1), parts
+    distance: Array = step * np.arange(-half, half + 1, dtype=np.float64)
+    return x[candidates], distance, parts
 
 
-def _line_basis(t: Array) -> Array:
-    """Level on the left, level on the right, dark line: (..., 3) for distances t in blurs."""
-    step = ndtr(t)
-    return np.stack([1 - step, step, np.exp(-0.5 * t**2)], axis=-1)
+def _gap_basis(x: Array, shape: GapShape) -> tuple[Array, Array]:
+    """Blurred level on the left, on the right and in the gap, and their slopes: (..., 3) each."""
+    t_left = (x + shape.width / 2) / shape.blur
+    t_right = (x - shape.width / 2) / shape.blur
+    left, right = ndtr(t_left), ndtr(t_right)
+    basis = np.stack([1 - left, right, left - right], axis=-1)
+    bell_left, bell_right = (
+        np.exp(-0.5 * t**2) / (np.sqrt(2 * np.pi) * shape.blur) for t in (t_left, t_right)
+    )
+    # d / dc, with x = d - c.
+    slopes = np.stack([bell_left, -bell_right, bell_right - bell_left], axis=-1)
+    return basis, slopes
 
 
 def _search(
-    profiles: Array, d: Array, search: float, blur: float, reach: float
+    profiles: Array, x: Array, search: float, shape: GapShape
 ) -> tuple[Array, Array, Array, Array]:
-    """Significance of a dark line at every candidate place, (n, k), with `_windows`."""
-    candidates, distance, parts = _windows(profiles, d, search, reach)
-    basis = _line_basis(distance / blur)
+    """Significance of a gap at every candidate place, (n, k), with `_windows`."""
+    candidates, distance, parts = _windows(profiles, x, search, shape.reach)
+    basis, _ = _gap_basis(distance, shape)
     inverse = np.linalg.pinv(basis)
-    coefficients = parts @ inverse.T
-    residual = np.square(parts - coefficients @ basis.T).mean(axis=-1)
+    levels = parts @ inverse.T
+    residual = np.square(parts - levels @ basis.T).mean(axis=-1)
+    depth = levels[..., :2].mean(axis=-1) - levels[..., 2]
+    spread = np.square(0.5 * (inverse[0] + inverse[1]) - inverse[2]).sum()
     # Samples are 0.25 px apart and interpolated: about one in three is independent.
-    variance = CORRELATED * residual * (inverse[2] ** 2).sum() + 1e-14
-    significance = -coefficients[..., 2] / np.sqrt(variance)
-    level = np.maximum(coefficients[..., :2].min(axis=-1), 1e-6)
-    significance[-coefficients[..., 2] < MIN_DEPTH * level] = 0
-    return candidates, distance, parts, significance
+    significance = depth / np.sqrt(CORRELATED * residual * spread + 1e-14)
+    level = np.maximum(levels[..., :2].min(axis=-1), 1e-6)
+    shallow = level - levels[..., 2] < MIN_DEPTH * level
+    return candidates, distance, parts, np.where(shallow, 0.0, significance)
 
 
-def _best_blur(profiles: Array, d: Array, search: float, px: float) -> float:
-    scores = [
-        float(np.median(_search(profiles, d, search, blur * px, FIT_PX * px)[3].max(axis=1)))
-        for blur in BLUR_PX
-    ]
-    return BLUR_PX[int(np.argmax(scores))]
+def _best_shape(profiles: Array, x: Array, search: float, shapes: tuple[GapShape, ...]) -> GapShape:
+    scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in shapes]
+    return shapes[int(np.argmax(scores))]
 
 
-def _fit_lines(
-    profiles: Array, d: Array, search: float, blur: float, reach: float
-) -> tuple[Array, Array, Array]:
-    """Offset, its standard deviation, and the depth of the dark line (0 where not significant)."""
-    candidates, distance, parts, significance = _search(profiles, d, search, blur, reach)
+def _fit_gaps(
+    profiles: Array, x: Array, search: float, shape: GapShape
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Place of the gap, its standard deviation, and whether it is significant."""
+    candidates, distance, parts, significance = _search(profiles, x, search, shape)
     n = len(profiles)
     best = significance.argmax(axis=1)
     start = candidates[best]
     part = parts[np.arange(n), best]
     centre = np.zeros(n)
-    for _ in range(LINE_ITERATIONS):
-        t = (distance - centre[:, None]) / blur
-        basis = _line_basis(t)
+    for _ in range(GAP_ITERATIONS):
+        basis, slopes = _gap_basis(distance - centre[:, None], shape)
         levels = _least_squares(basis, part)
-        bell = basis[..., 2]
-        # dp/dc of the model at its present coefficients.
-        slope = (
-            (levels[:, 0] - levels[:, 1])[:, None] * bell / np.sqrt(2 * np.pi)
-            + levels[:, 2, None] * t * bell
-        ) / blur
+        slope = np.einsum("nmk,nk->nm", slopes, levels)
         design = np.concatenate([basis, slope[..., None]], axis=-1)
         solution = _least_squares(design, part)
-        centre += np.clip(solution[:, 3], -blur, blur)
+        centre += np.clip(solution[:, 3], -shape.blur, shape.blur)
     residual = np.square(part - np.einsum("nmk,nk->nm", design, solution)).mean(axis=1)
     covariance = np.linalg.inv(_gram(design))[:, 3, 3]
     significant = significance[np.arange(n), best] > MIN_SIGNIFICANCE
-    good = significant & (np.abs(centre) <= 3 * blur)
-    sigma = np.where(good, np.sqrt(CORRELATED * residual * np.abs(covariance)), np.inf)
-    return np.where(good, start + centre, np.nan), sigma, np.where(good, -levels[:, 2], 0.0)
+    found = significant & (np.abs(centre) <= 3 * shape.blur)
+    sigma: Array = np.where(found, np.sqrt(CORRELATED * residual * np.abs(covariance)), np.inf)
+    return np.where(found, start + centre, np.nan), sigma, found
 
 
 def _gram(design: Array) -> Array:
@@ -269,10 +309,10 @@ def _least_squares(design: Array, values: Array) -> Array:
 
 
 def _fit_steps(
-    profiles: Array, d: Array, search: float, blur: float, reach: float
+    profiles: Array, x: Array, search: float, blur: float, reach: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Place of a dark-to-bright step along +d, its standard deviation, and whether it is there."""
-    candidates, distance, parts = _windows(profiles, d, search, reach)
+    candidates, distance, parts = _windows(profiles, x, search, reach)
     step = ndtr(distance / blur)
     basis = np.column_stack([1 - step, step])
     levels = parts @ np.linalg.pinv(basis).T
@@ -293,9 +333,9 @@ def _fit_steps(
     return place, sigma, inside & (top > 4 * rest)
 
 
-def _gap_width(profiles: Array, d: Array, offset: Array, px: float) -> float:
-    """Width of a gap from its missing light, which blur does not change."""
-    t = (d - offset[:, None]) / px
+def _gap_width(profiles: Array, x: Array, place: Array, lr_px: float) -> float:
+    """Width of a gap from its missing light, which blur does not change; image pixels."""
+    t = (x - place[:, None]) / lr_px
     beside = (np.abs(t) > 2.2) & (np.abs(t) <= 3.5)
     left, right = (
         np.where(side, profiles, 0).sum(axis=1) / np.maximum(side.sum(axis=1), 1)
@@ -306,4 +346,4 @@ def _gap_width(profiles: Array, d: Array, offset: Array, px: float) -> float:
         return 0.0
     level = np.where(t < 0, left[:, None], right[:, None])[good]
     missing = np.where(np.abs(t[good]) <= 2.2, 1 - profiles[good] / level, 0).sum(axis=1)
-    return float(np.clip(np.median(missing) * (d[1] - d[0]), 0, 0.1))
+    return float(np.clip(np.median(missing) * STEP_PX, 0, MAX_GAP_PX * lr_px))

@@ -103,7 +103,7 @@ def find_outline(image: NDArray[np.float32]) -> Outline:
     padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_REPLICATE)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, element)
     closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, element)[size:-size, size:-size]
-    component = _central_component(closed)
+    component = _central_component(np.asarray(closed, np.uint8))
     if component.mean() < MIN_AREA_SHARE:
         raise OutlineError(
             f"no module: the largest bright area covers {100 * component.mean():.1f} % of the frame"
@@ -186,13 +186,13 @@ def _central_component(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     height, width = mask.shape
     large = np.flatnonzero(areas > 0.5 * areas.max()) + 1
     if len(large) == 1:
-        return (labels == large[0]).astype(np.uint8)
+        return np.asarray(labels == large[0], np.uint8)
     centre = np.array([width / 2, height / 2])
     gaps = [
         np.linalg.norm(np.argwhere(labels == label)[:, ::-1] - centre, axis=1).min()
         for label in large
     ]
-    return (labels == large[int(np.argmin(gaps))]).astype(np.uint8)
+    return np.asarray(labels == large[int(np.argmin(gaps))], np.uint8)
 
 
 def _clockwise(corners: Array) -> Array:

@@ -8,18 +8,20 @@ enters the poses.
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equations
-from pv_inspect.calibration import Calibration
+from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.camera import Camera
+from pv_inspect.detection import Crossings, FrameCrossings, detect_on_module
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
 
 __all__ = ["Registration", "module_mean", "register", "unregistered"]
 
@@ -46,6 +48,8 @@ MIN_TYPICAL = 0.2
 """If the frames hardly correlate, all cells look alike and the correlation tells nothing."""
 MAX_STRAY_CELLS = 0.4
 """A registered frame that moved further from its crossing points is lost, in cell widths."""
+MODULE_CROSSING_SIGMA_PX = 0.05
+OUTER_CROSSING_SIGMA_PX = 0.25
 
 
 @dataclass(frozen=True)
@@ -103,13 +107,17 @@ def unregistered(calibration: Calibration) -> Registration:
     )
 
 
-def register(sequence: Sequence, calibration: Calibration) -> Generator[float, None, Registration]:
+def register(
+    sequence: Sequence, calibration: Calibration, settings: Settings
+) -> Generator[float, None, Registration]:
     """Refine every pose so that the frame agrees with the module image (Eq. 6).
 
     Parameters
     ----------
     sequence : Sequence
     calibration : Calibration
+    settings : Settings
+        ``kappa`` and ``focal_length_px`` stay fixed if given.
 
     Yields
     ------
@@ -128,9 +136,12 @@ def register(sequence: Sequence, calibration: Calibration) -> Generator[float, N
     Notes
     -----
     Gauss-Newton on 8 parameters plus gain and offset per frame, minimising
-    sum_x rho((g_i(x) - gain f(m_i^-1(x)) - offset) / sigma(x)) with Huber's rho. Frames only
-    determine their poses relative to each other; the homography common to all is then chosen so
-    that the crossing points stay, on average, where the calibration has them.
+    sum_x rho((g_i(x) - gain f(m_i^-1(x)) - offset) / sigma(x)) with Huber's rho. This determines
+    the poses relative to each other only: an error that all frames share, a bend left by kappa
+    above all, is in the module image too. Before the last round the gaps of the module image, which
+    are straight and evenly spaced, are therefore measured and the camera is fitted again; in the
+    end the homography common to all frames is chosen so that the crossing points stay where this
+    fit has them.
     """
     state = unregistered(calibration)
     if int(state.used.sum()) == 0:
@@ -143,6 +154,11 @@ def register(sequence: Sequence, calibration: Calibration) -> Generator[float, N
     done = 0
     for number, plan in enumerate(ROUNDS):
         reference, covered = module_mean(sequence, state, grid)
+        if number == len(ROUNDS) - 1:
+            calibration = _recalibrated(state, calibration, reference, grid, sequence, settings)
+            state = _with_poses(state, calibration)
+            rays = _rays(state.camera, sequence.shape)
+            reference, covered = module_mean(sequence, state, grid)
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
         rms = np.full(len(sequence), np.nan)
@@ -234,7 +250,7 @@ def _align(
             [0, 0, 1],
         ]
     )
-    unscale = np.linalg.inv(scale)
+    unscale: Array = np.linalg.inv(scale)
     to_grid: Array = np.linalg.inv(homography @ grid.matrix)
     rms = float("nan")
     for _ in range(plan.iterations):
@@ -247,7 +263,7 @@ def _align(
         damping = 1e-9 * np.diag(A) + 1e-12
         step = np.linalg.solve(A + np.diag(damping), b)
         increment = np.append(step[:8], 0.0).reshape(3, 3)
-        to_grid = unscale @ (np.eye(3) + increment) @ scale @ to_grid
+        to_grid = np.asarray(unscale @ (np.eye(3) + increment) @ scale @ to_grid, np.float64)
         gain, offset = gain + float(step[8]), offset + float(step[9])
         gain = float(np.clip(gain, 0.05, 20))
         if np.abs(step[:8]).max() * size < 1e-4:
@@ -318,9 +334,7 @@ def _normalised(
     # g = gain f + offset stays the same when f + c and offset - gain c are taken instead.
     shift = float((offset[used] / gain[used]).mean())
     offset = np.where(used, offset - gain * shift, 0.0)
-    return Registration(
-        state.layout, state.camera, homographies, used, state.why, gain, offset, rms
-    )
+    return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
 
 
 def _rejected(state: Registration, calibration: Calibration, correlation: Array) -> Registration:
@@ -341,42 +355,64 @@ def _rejected(state: Registration, calibration: Calibration, correlation: Array)
         elif not np.isfinite(state.homographies[index]).all():
             why[index] = "registration did not converge"
         used[index] = why[index] == ""
-    return Registration(
-        state.layout,
-        state.camera,
-        state.homographies,
-        used,
-        tuple(why),
-        state.gain,
-        state.offset,
-        np.where(used, state.rms, np.nan),
-    )
+    rms = np.where(used, state.rms, np.nan)
+    return replace(state, used=used, why=tuple(why), rms=rms)
+
+
+def _recalibrated(
+    state: Registration,
+    calibration: Calibration,
+    module: Image,
+    grid: HrGrid,
+    sequence: Sequence,
+    settings: Settings,
+) -> Calibration:
+    """Fit the camera again to the gaps of the module image, carried into every frame."""
+    points = detect_on_module(module, grid)
+    if points is None:
+        return calibration
+    gaps = np.asarray(np.isfinite(points).all(axis=1))
+    # Outer crossings have no gaps around them: they stay, loosely, where the calibration has them.
+    points = np.where(gaps[:, None], points, _mean_crossings(state, calibration))
+    sigma_px = np.where(gaps, MODULE_CROSSING_SIGMA_PX, OUTER_CROSSING_SIGMA_PX)
+    frames = [
+        FrameCrossings(
+            state.camera.project(state.homographies[index], points),
+            sigma_px,
+            np.asarray(np.isfinite(points).all(axis=1)),
+        )
+        if state.used[index]
+        else FrameCrossings.failed(state.layout, state.why[index])
+        for index in range(len(sequence))
+    ]
+    again = calibrate(Crossings(state.layout, tuple(frames)), sequence.shape, settings)
+    return again if np.array_equal(again.used, state.used) else calibration
+
+
+def _with_poses(state: Registration, calibration: Calibration) -> Registration:
+    """Take camera and poses of a calibration and keep everything else."""
+    homographies = np.where(state.used[:, None, None], calibration.homographies, state.homographies)
+    return replace(state, camera=calibration.camera, homographies=homographies)
 
 
 def _anchored(state: Registration, calibration: Calibration) -> Registration:
     """Choose the homography common to all frames so that the crossings stay where they were."""
     ideal = state.layout.crossings()
-    found = np.array(
-        [
-            state.camera.unproject(state.homographies[i], calibration.crossings_px(i))
-            for i in _indices(state.used)
-        ]
-    )
-    mean = np.nanmean(found, axis=0)
+    mean = _mean_crossings(state, calibration)
     good = np.isfinite(mean).all(axis=1)
     common, _ = cv2.findHomography(ideal[good], mean[good], 0)
     homographies = state.homographies.copy()
     homographies[state.used] = homographies[state.used] @ np.asarray(common, np.float64)
-    return Registration(
-        state.layout,
-        state.camera,
-        homographies,
-        state.used,
-        state.why,
-        state.gain,
-        state.offset,
-        state.rms,
-    )
+    return replace(state, homographies=homographies)
+
+
+def _mean_crossings(state: Registration, calibration: Calibration) -> Array:
+    """Where the crossing points of the calibration lie on the registered module, on average."""
+    found = [
+        state.camera.unproject(state.homographies[i], calibration.crossings_px(i))
+        for i in _indices(state.used)
+    ]
+    return np.asarray(np.nanmean(found, axis=0))
 
 
 def _indices(used: NDArray[np.bool_]) -> list[int]:

@@ -108,7 +108,7 @@ class Settings(BaseModel):
         le=6,
     )
     prior_weight: Finite = _tunable(
-        0.05,
+        0.7,
         Stage.RECONSTRUCT,
         "noise units",
         "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units.",

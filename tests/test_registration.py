@@ -15,6 +15,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.registration import Registration, module_mean, register, unregistered
 from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence
 
 LAYOUT = ModuleLayout(4, 6)
@@ -81,7 +82,7 @@ def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
     sequence, truth, simulation = scene
     start = _disturbed(truth, 1.0)
     before = _interframe_px(unregistered(start), simulation)
-    registration = _finish(register(sequence, start))
+    registration = _finish(register(sequence, start, Settings()))
     assert registration.used.all()
     assert before > 0.5
     assert _interframe_px(registration, simulation) < 0.02
@@ -91,7 +92,7 @@ def test_registration_keeps_the_mean_place_of_the_crossings(
     scene: tuple[Sequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
-    registration = _finish(register(sequence, _disturbed(truth, 0.3, seed=4)))
+    registration = _finish(register(sequence, _disturbed(truth, 0.3, seed=4), Settings()))
     start = _disturbed(truth, 0.3, seed=4)
     moved = [
         registration.camera.unproject(registration.homographies[i], start.crossings_px(i))
@@ -103,7 +104,7 @@ def test_registration_keeps_the_mean_place_of_the_crossings(
 
 def test_gains_follow_the_flicker_of_the_light(scene: tuple[Sequence, Calibration, Any]) -> None:
     sequence, truth, simulation = scene
-    registration = _finish(register(sequence, truth))
+    registration = _finish(register(sequence, truth, Settings()))
     gains = np.array([pose.gain for pose in simulation.poses])
     gains /= np.exp(np.log(gains).mean())
     np.testing.assert_allclose(registration.gain, gains, atol=0.01)
@@ -138,7 +139,7 @@ def test_a_frame_of_another_module_is_rejected_with_its_reason(
     homographies = truth.homographies.copy()
     homographies[3] = H
     calibration = replace(truth, homographies=homographies)
-    registration = _finish(register(_Swapped(sequence, 3, other), calibration))
+    registration = _finish(register(_Swapped(sequence, 3, other), calibration, Settings()))
     assert not registration.used[3]
     assert "does not show the same module" in registration.why[3]
     assert registration.used.sum() == 7
@@ -149,7 +150,7 @@ def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, A
     sequence, truth, _ = scene
     used = np.zeros(8, bool)
     used[0] = True
-    registration = _finish(register(sequence, replace(truth, used=used)))
+    registration = _finish(register(sequence, replace(truth, used=used), Settings()))
     moved = registration.crossings_px(0) - truth.crossings_px(0)
     assert registration.gain[0] == 1
     assert np.abs(moved).max() < 0.05
@@ -161,7 +162,7 @@ def test_nothing_to_register_is_said_in_one_sentence(
     sequence, truth, _ = scene
     none = replace(truth, used=np.zeros(8, bool), why=("black",) * 8)
     with pytest.raises(InspectionError, match=r"No frame is left to register \(black\)"):
-        _finish(register(sequence, none))
+        _finish(register(sequence, none, Settings()))
 
 
 def test_the_module_mean_of_ramps_is_a_ramp() -> None:

@@ -1,0 +1,59 @@
+# `make demo` and `make test` need git, make and Python 3.11 to 3.13, nothing else.
+
+PYTHON := .venv/bin/python
+INSTALLED := .venv/.installed
+PYTEST := $(PYTHON) -m pytest
+# The core is tested without Qt and napari: their pytest plugins would load them.
+WITHOUT_GUI := -p no:pytest-qt -p no:napari -p no:npe2 -p no:napari-plugin-engine
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format test-core test-plugin test-window constraints clean
+
+help: ## say what can be made
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
+
+demo: $(INSTALLED) ## run the main job on sample_data/ and open the workbench where there is a display
+	@scripts/bootstrap.sh libraries $(if $(DISPLAY)$(WAYLAND_DISPLAY),window,offscreen) || true
+	@$(PYTHON) benchmarks/demo.py
+
+# One after the other, whatever -j says: the tests use all cores by themselves.
+test: $(INSTALLED) ## everything that CI runs
+	@scripts/bootstrap.sh libraries xvfb
+	@$(MAKE) --no-print-directory lint
+	@$(MAKE) --no-print-directory test-core
+	@$(MAKE) --no-print-directory test-plugin
+	@$(MAKE) --no-print-directory test-window
+
+lint: $(INSTALLED) ## ruff and mypy
+	$(PYTHON) -m ruff check .
+	$(PYTHON) -m ruff format --check .
+	$(PYTHON) -m mypy --strict pv_inspect
+
+format: $(INSTALLED) ## put every file into the house's form
+	$(PYTHON) -m ruff check --fix .
+	$(PYTHON) -m ruff format .
+
+test-core: $(INSTALLED) ## tests of the core; no Qt
+	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin --durations=10
+
+test-plugin: $(INSTALLED) ## tests of the workbench without a window
+	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin --durations=5
+
+test-window: $(INSTALLED) ## tests of the workbench in a real window, on a virtual screen
+ifeq ($(shell uname -s),Linux)
+	QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 \
+		xvfb-run -a -s "-screen 0 1600x1000x24" $(PYTEST) tests/plugin -m xvfb --durations=5
+else
+	@echo "The tests in a real window need Xvfb and run on Linux only: left out."
+endif
+
+constraints: ## find the newest versions of all packages and pin them
+	scripts/constraints.sh
+
+clean: ## remove the environment and everything that was made
+	rm -rf .venv demo_result build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find pv_inspect plugins tests benchmarks -name __pycache__ -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml constraints.txt scripts/bootstrap.sh
+	@scripts/bootstrap.sh python
+	@touch $@

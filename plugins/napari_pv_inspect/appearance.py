@@ -1,0 +1,60 @@
+"""Names, colours and contrast of what the workbench draws.
+
+The colours are of the set of Okabe and Ito, which stays distinct with a colour-vision deficiency,
+and they differ in brightness over grey images too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "CRACKS",
+    "CRACK_RGB",
+    "FRAMES",
+    "GRID",
+    "GRID_COLOUR",
+    "MEASURED_COLOUR",
+    "MODULE",
+    "POINTS",
+    "PREDICTED_COLOUR",
+    "SUPPORT",
+    "contrast_limits",
+    "crack_colormap",
+]
+
+FRAMES = "Frames"
+POINTS = "Crossing points"
+GRID = "Fitted grid"
+MODULE = "Module image"
+SUPPORT = "Support"
+CRACKS = "Cracks"
+
+GRID_COLOUR = "#56B4E9"
+MEASURED_COLOUR = "#F0E442"
+PREDICTED_COLOUR = "#D55E00"
+CRACK_RGB = (1.0, 0.55, 0.0)
+
+
+def crack_colormap() -> dict[str, Any]:
+    """From clear through amber to bright orange: the image stays visible where nothing is."""
+    r, g, b = CRACK_RGB
+    clear, half, full = (r, g, b, 0.0), (r, 0.75, 0.2, 0.55), (r, g, b, 1.0)
+    return {
+        "name": "crack probability",
+        "colors": np.array([clear, clear, half, full], dtype=np.float32),
+        "controls": np.array([0.0, 0.15, 0.5, 1.0], dtype=np.float32),
+    }
+
+
+def contrast_limits(image: NDArray[Any]) -> tuple[float, float]:
+    """Limits without the darkest 0.5 and the brightest 0.2 percent; never an empty range."""
+    values = np.asarray(image, dtype=np.float32).ravel()[:: max(1, image.size // 200_000)]
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        return 0.0, 1.0
+    low, high = (float(v) for v in np.percentile(values, (0.5, 99.8)))
+    return (low, high) if high > low else (low, low + 1.0)

@@ -1,0 +1,103 @@
+"""A slider with a number beside it, for one setting; linear or logarithmic."""
+
+from __future__ import annotations
+
+import math
+
+from qtpy.QtCore import QSignalBlocker, Qt, Signal
+from qtpy.QtWidgets import QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
+
+from pv_inspect.settings import Settings
+
+__all__ = ["SettingSlider", "setting_tooltip"]
+
+STEPS = 400
+
+
+def setting_tooltip(name: str) -> str:
+    """What a setting means and its unit, as Settings declares them."""
+    description = Settings.model_fields[name].description or name
+    return f"{description} Unit: {Settings.unit_of(name)}."
+
+
+class SettingSlider(QWidget):
+    """Shows and changes one number.
+
+    Parameters
+    ----------
+    name : str
+        Field of Settings; gives the tooltip.
+    low, high : float
+        Range of the slider; the number beside it takes the same range.
+    decimals : int
+    logarithmic : bool
+        Equal ways of the slider are equal ratios; needs ``low`` > 0.
+    """
+
+    changed = Signal(float)
+
+    def __init__(
+        self,
+        name: str,
+        low: float,
+        high: float,
+        decimals: int,
+        logarithmic: bool = False,
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._low, self._high, self._log = low, high, logarithmic
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(0, STEPS)
+        self.number = QDoubleSpinBox()
+        self.number.setDecimals(decimals)
+        self.number.setRange(low, high)
+        self.number.setKeyboardTracking(False)
+        if logarithmic:
+            self.number.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
+        else:
+            self.number.setSingleStep(max((high - low) / 100, 10.0**-decimals))
+        self.setObjectName(name)
+        self.setToolTip(setting_tooltip(name))
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.slider, 1)
+        layout.addWidget(self.number)
+        self.slider.valueChanged.connect(self._on_slider)
+        self.number.valueChanged.connect(self._on_number)
+
+    @property
+    def value(self) -> float:
+        """The number that is shown."""
+        return float(self.number.value())
+
+    def show_value(self, value: float) -> None:
+        """Show a number without telling that it changed."""
+        with QSignalBlocker(self.number), QSignalBlocker(self.slider):
+            self.number.setValue(value)
+            self.slider.setValue(self._position(value))
+
+    def _on_slider(self, position: int) -> None:
+        value = self._value_at(position)
+        with QSignalBlocker(self.number):
+            self.number.setValue(value)
+        self.changed.emit(self.value)
+
+    def _on_number(self, value: float) -> None:
+        with QSignalBlocker(self.slider):
+            self.slider.setValue(self._position(value))
+        self.changed.emit(value)
+
+    def _value_at(self, position: int) -> float:
+        share = position / STEPS
+        if self._log:
+            return float(self._low * (self._high / self._low) ** share)
+        return self._low + (self._high - self._low) * share
+
+    def _position(self, value: float) -> int:
+        value = min(max(value, self._low), self._high)
+        if self._log:
+            share = math.log(value / self._low) / math.log(self._high / self._low)
+        else:
+            share = (value - self._low) / (self._high - self._low)
+        return round(share * STEPS)

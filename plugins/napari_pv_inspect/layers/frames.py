@@ -1,0 +1,99 @@
+"""The sequence as one lazy stack, with a caption that says what became of the shown frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari.components import ViewerModel
+from napari.layers import Image, Layer
+
+from napari_pv_inspect.appearance import FRAMES
+from napari_pv_inspect.layers.slot import LayerSlot
+from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.sources import SEQUENCE_KEY, sequence_layer
+from pv_inspect.pipeline import Inspection
+from pv_inspect.sequence import Sequence
+
+__all__ = ["FramesLayer", "frame_caption"]
+
+
+class FramesLayer:
+    """Keeps the frames layer and the caption in step with the model."""
+
+    def __init__(self, viewer: ViewerModel, model: WorkbenchModel) -> None:
+        self._viewer = viewer
+        self._model = model
+        self._slot = LayerSlot(viewer, Image)
+        model.sequence_changed.connect(self._on_sequence)
+        model.inspection_changed.connect(self._on_inspection)
+        viewer.dims.events.current_step.connect(self._on_step)
+
+    def adopt(self, layer: Layer) -> bool:
+        """Make a layer of the reader the frames layer; False if it carries no sequence."""
+        sequence = layer.metadata.get(SEQUENCE_KEY)
+        if not isinstance(sequence, Sequence) or layer is self._slot.layer:
+            return False
+        earlier = self._slot.layer
+        if earlier is not None:
+            earlier.visible = False
+        self._slot.adopt(layer)
+        if sequence is not self._model.sequence:
+            self._model.open(sequence)
+        return True
+
+    def close(self) -> None:
+        """Let go of the viewer."""
+        self._viewer.dims.events.current_step.disconnect(self._on_step)
+
+    @property
+    def frame(self) -> int:
+        """Index of the frame under the time slider."""
+        return int(self._viewer.dims.current_step[0]) if self._viewer.dims.ndim > 2 else 0
+
+    def _on_sequence(self, sequence: Sequence | None) -> None:
+        layer = self._slot.layer
+        if sequence is not None and (
+            layer is None or layer.metadata.get(SEQUENCE_KEY) is not sequence
+        ):
+            if layer is not None:
+                layer.visible = False
+                self._slot = LayerSlot(self._viewer, Image)
+            data, attributes, _ = sequence_layer(sequence)
+            layer = Image(data, **{**attributes, "name": FRAMES})
+            # The slot knows the layer before the viewer tells that it was added.
+            self._slot.adopt(layer)
+            self._viewer.add_layer(layer)
+        self._caption()
+
+    def _on_inspection(self, _: Inspection | None) -> None:
+        self._caption()
+
+    def _on_step(self, _: Any = None) -> None:
+        self._caption()
+
+    def _caption(self) -> None:
+        overlay = self._viewer.canvas.overlays.text
+        text = ""
+        if (sequence := self._model.sequence) is not None and self.frame < len(sequence):
+            text = frame_caption(sequence, self._model.shown, self.frame)
+        overlay.position = "top_left"
+        overlay.font_size = 8
+        overlay.text = text
+        overlay.visible = bool(text)
+
+
+def frame_caption(sequence: Sequence, inspection: Inspection | None, frame: int) -> str:
+    """Return name, fit and fate of one frame in a line."""
+    name = sequence.names[frame]
+    if inspection is None or inspection.calibration is None:
+        if inspection is not None and inspection.crossings is not None:
+            why = inspection.crossings.frames[frame].why
+            return f"{name}   rejected: {why}" if why else f"{name}   crossing points found"
+        return name
+    fit = inspection.registration or inspection.calibration
+    if not fit.used[frame]:
+        return f"{name}   rejected: {fit.why[frame]}"
+    text = f"{name}   used   grid fits to {inspection.calibration.rms_px[frame]:.2f} px"
+    if inspection.registration is not None:
+        text += f"   residual {inspection.registration.rms[frame]:.2f} x noise"
+    return text

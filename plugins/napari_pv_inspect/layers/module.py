@@ -1,0 +1,113 @@
+"""Module image, support and crack overlay beside the frames, at the same scale."""
+
+from __future__ import annotations
+
+import numpy as np
+from napari.components import ViewerModel
+from napari.layers import Image
+from napari.utils.colormaps import Colormap
+from numpy.typing import NDArray
+
+from napari_pv_inspect import appearance as look
+from napari_pv_inspect.layers.slot import LayerSlot
+from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.placement import Placement, module_placement
+from pv_inspect.layout import HrGrid
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import Result
+from pv_inspect.sequence import Sequence
+
+__all__ = ["ModuleLayers"]
+
+
+class ModuleLayers:
+    """Keeps the layers of the module plane in step with the model."""
+
+    def __init__(self, viewer: ViewerModel, model: WorkbenchModel) -> None:
+        self._viewer = viewer
+        self._model = model
+        self._shown: object = None
+        self._cracks_shown: object = None
+        self.placement: Placement | None = None
+        self.grid: HrGrid | None = None
+        self.shape = (0, 0)
+        self._contrast_is_final = False
+        self._image = LayerSlot(viewer, Image, name=look.MODULE, colormap="gray")
+        self._support = LayerSlot(
+            viewer,
+            Image,
+            name=look.SUPPORT,
+            colormap="viridis",
+            contrast_limits=(0.0, 1.0),
+            visible=False,
+        )
+        self._cracks = LayerSlot(
+            viewer,
+            Image,
+            name=look.CRACKS,
+            colormap=Colormap(**look.crack_colormap()),
+            contrast_limits=(0.0, 1.0),
+            blending="translucent",
+            opacity=0.75,
+        )
+        model.sequence_changed.connect(self._on_sequence)
+        model.inspection_changed.connect(self._on_inspection)
+        model.result_opened.connect(self._on_result)
+
+    def preview(self, image: NDArray[np.float32]) -> None:
+        """Show an intermediate image in place of the module image."""
+        inspection = self._model.shown
+        if inspection is None or inspection.registration is None:
+            return
+        scale = inspection.registration.lr_px_per_unit
+        grid = HrGrid.covering(inspection.layout, scale, self._model.run_settings.magnification)
+        self._put_image(image, grid)
+        self._shown = None
+        # An overlay of an earlier image would lie about this one.
+        self._support.veil()
+        self._cracks.veil()
+        self._cracks_shown = None
+
+    def _on_sequence(self, _: Sequence | None) -> None:
+        for slot in (self._image, self._support, self._cracks):
+            slot.drop()
+        self._contrast_is_final = False
+        self._shown = self._cracks_shown = self.placement = self.grid = None
+
+    def _on_inspection(self, inspection: Inspection | None) -> None:
+        if inspection is None or (made := inspection.reconstruction) is None:
+            return
+        if made is not self._shown:
+            self._put_image(made.image, made.grid)
+            self._contrast_is_final = True
+            assert self.placement is not None
+            place = self.placement
+            self._support.put(made.support, scale=place.scale, translate=place.translate)
+            self._shown = made
+        if inspection.cracks is not None and inspection.cracks is not self._cracks_shown:
+            place = module_placement(made.grid, made.image.shape, self._frame_shape)
+            self._cracks.put(
+                inspection.cracks.probability, scale=place.scale, translate=place.translate
+            )
+            self._cracks_shown = inspection.cracks
+
+    def _on_result(self, result: Result) -> None:
+        # The reader has added its layers, pixel by pixel; here only their place is noted.
+        self.grid, self.shape = result.grid, result.image.shape
+        self.placement = Placement((1.0, 1.0), (0.0, 0.0))
+
+    def _put_image(self, image: NDArray[np.float32], grid: HrGrid) -> None:
+        self.grid, self.shape = grid, image.shape
+        self.placement = module_placement(grid, image.shape, self._frame_shape)
+        first = self._image.layer is None
+        place = {"scale": self.placement.scale, "translate": self.placement.translate}
+        if first or not self._contrast_is_final:
+            # Afterwards the contrast is the user's: images of two settings are to be compared.
+            place["contrast_limits"] = look.contrast_limits(image)
+        self._image.put(image, **place)
+        if first:
+            self._viewer.reset_view()
+
+    @property
+    def _frame_shape(self) -> tuple[int, int] | None:
+        return None if self._model.sequence is None else self._model.sequence.shape

@@ -1,0 +1,72 @@
+"""One layer of ours: made when there is something to show, made anew if the user deleted it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from napari.components import ViewerModel
+from napari.layers import Layer
+
+__all__ = ["LayerSlot"]
+
+
+class LayerSlot:
+    """Holds at most one layer of a viewer.
+
+    Parameters
+    ----------
+    viewer : napari viewer
+    kind : type
+        Layer class.
+    **appearance
+        Attributes for a new layer; afterwards they belong to the user.
+    """
+
+    def __init__(self, viewer: ViewerModel, kind: type[Layer], **appearance: Any) -> None:
+        self._viewer = viewer
+        self._kind = kind
+        self._appearance = appearance
+        self._layer: Layer | None = None
+        self._visible_before_veil: bool | None = None
+
+    @property
+    def layer(self) -> Layer | None:
+        """The layer, None if there is none or if the user deleted it."""
+        if self._layer is not None and self._layer not in self._viewer.layers:
+            self._layer = None
+        return self._layer
+
+    def put(self, data: Any, **attributes: Any) -> Layer:
+        """Show ``data``; ``attributes`` are set every time."""
+        layer = self.layer
+        if layer is None:
+            selected = self._viewer.layers.selection.active
+            layer = self._kind(data, **{**self._appearance, **attributes})
+            self._layer = self._viewer.add_layer(layer)
+            # A new layer of ours takes the user's tools away from what they were on.
+            if selected is not None and selected in self._viewer.layers:
+                self._viewer.layers.selection.active = selected
+        else:
+            layer.data = data
+            for name, value in attributes.items():
+                setattr(layer, name, value)
+            if self._visible_before_veil is not None:
+                layer.visible = self._visible_before_veil
+        self._visible_before_veil = None
+        return layer
+
+    def veil(self) -> None:
+        """Hide the layer until something is put into it again."""
+        if (layer := self.layer) is not None and self._visible_before_veil is None:
+            self._visible_before_veil = layer.visible
+            layer.visible = False
+
+    def adopt(self, layer: Layer) -> None:
+        """Take a layer that something else has added to the viewer."""
+        self._layer = layer
+
+    def drop(self) -> None:
+        """Remove the layer from the viewer."""
+        if (layer := self.layer) is not None:
+            self._viewer.layers.remove(layer)
+        self._layer = self._visible_before_veil = None

@@ -1,0 +1,181 @@
+"""State of the workbench: the sequence, the settings, what is known so far. No Qt, no napari.
+
+Views listen to the signals; only controllers change the state, and only in the main thread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from psygnal import Signal
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection, Step
+from pv_inspect.results import Result
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings, Stage
+
+__all__ = ["RunState", "WorkbenchModel"]
+
+
+class RunState(Enum):
+    """Whether a run is under way."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    STOPPING = "stopping"
+
+
+class WorkbenchModel:
+    """The sequence on the bench and all that was found out about it.
+
+    Attributes
+    ----------
+    sequence : Sequence or None
+    settings : Settings
+        What the controls say; the next run uses it.
+    result : Result or None
+        A result folder that is looked at; nothing of it is computed again.
+    run_settings : Settings
+        What the current run was started with.
+    inspection : Inspection or None
+        What is shown and saved. A cancelled run leaves a complete one as it was.
+    draft : Inspection or None
+        What the current or the last, cancelled run has found so far; a later run resumes from it.
+    """
+
+    sequence_changed = Signal(object)
+    settings_changed = Signal(object)
+    inspection_changed = Signal(object)
+    result_opened = Signal(object)
+    preview_changed = Signal(object)
+    run_changed = Signal(object)
+    progress_changed = Signal(float, str)
+    noticed = Signal(str, bool)
+
+    def __init__(self) -> None:
+        self.sequence: Sequence | None = None
+        self.settings = self.run_settings = Settings()
+        self.inspection: Inspection | None = None
+        self.draft: Inspection | None = None
+        self.result: Result | None = None
+        self.run_state = RunState.IDLE
+
+    @property
+    def shown(self) -> Inspection | None:
+        """What the views draw: the growing draft while a run goes on, else the inspection."""
+        return self.draft if self.run_state is not RunState.IDLE else self.inspection
+
+    @property
+    def to_do(self) -> frozenset[Stage]:
+        """Stages that the next run has to do again, or for the first time."""
+        if self.inspection is None:
+            return frozenset(Stage)
+        return self.inspection.stale(self.settings)
+
+    def open(self, sequence: Sequence) -> None:
+        """Put another sequence on the bench; settings about the module come from its sidecar."""
+        hint = {
+            k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
+        }
+        unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa"))
+        self.sequence = sequence
+        self.inspection = self.draft = self.result = None
+        self._enter(RunState.IDLE)
+        self.settings = self.settings.changed(**{**unknown, **hint})
+        self.sequence_changed.emit(sequence)
+        self.settings_changed.emit(self.settings)
+        self.inspection_changed.emit(None)
+
+    def open_result(self, result: Result) -> None:
+        """Put a result folder on the bench; an inspection that has cells of its own stays."""
+        if self.shown is None or self.shown.tiles is None:
+            self.result = result
+            self.result_opened.emit(result)
+
+    def change_settings(self, **values: Any) -> None:
+        """Change some settings; a value out of its range becomes a notice and changes nothing."""
+        try:
+            settings = self.settings.changed(**values)
+        except InspectionError as error:
+            self.notice(str(error), is_error=True)
+            return
+        if settings != self.settings:
+            self.settings = settings
+            self.settings_changed.emit(settings)
+
+    def notice(self, text: str, is_error: bool = False) -> None:
+        """Tell the user one sentence."""
+        self.noticed.emit(text, is_error)
+
+    def begin_run(self) -> Inspection | None:
+        """Enter the running state.
+
+        Returns
+        -------
+        Inspection or None
+            What the run may resume from.
+
+        Raises
+        ------
+        InspectionError
+            If there is no sequence, the layout is unknown, or a run is under way.
+        """
+        if self.sequence is None:
+            raise InspectionError("There is no sequence to inspect: open a folder of frames first.")
+        if self.run_state is not RunState.IDLE:
+            raise InspectionError("A run is under way: wait for it, or cancel it first.")
+        start = best_start(self.settings, self.inspection, self.draft)
+        layout = self.sequence.layout(self.settings)
+        self.draft = start or Inspection(self.sequence, self.settings, layout)
+        self.run_settings = self.settings
+        self._enter(RunState.RUNNING)
+        return start
+
+    def absorb(self, step: Step) -> None:
+        """Take in what one step of the pipeline brought."""
+        self.progress_changed.emit(step.fraction, step.message)
+        if step.partial is None or self.draft is None:
+            return
+        if isinstance(step.partial, np.ndarray):
+            self.preview_changed.emit(step.partial)
+            return
+        layout = self.draft.sequence.layout(self.run_settings)
+        grown = self.draft.with_part(step.partial)
+        self.draft = replace(grown, settings=self.run_settings, layout=layout)
+        self.inspection_changed.emit(self.draft)
+
+    def stopping(self) -> None:
+        """Say that the run was asked to stop."""
+        self._enter(RunState.STOPPING)
+
+    def end_run(self, result: Inspection | None, keep_draft: bool) -> None:
+        """Leave the running state.
+
+        Parameters
+        ----------
+        result : Inspection or None
+            What the run returned; None if it was cancelled, stopped early or failed.
+        keep_draft : bool
+            Show what the run found so far in place of the earlier inspection.
+        """
+        if result is not None:
+            self.inspection, self.draft = result, None
+        elif keep_draft or self.inspection is None or not self.inspection.complete:
+            self.inspection = self.draft
+        self._enter(RunState.IDLE)
+        self.preview_changed.emit(None)
+        self.inspection_changed.emit(self.inspection)
+
+    def _enter(self, state: RunState) -> None:
+        self.run_state = state
+        self.run_changed.emit(state)
+
+
+def best_start(settings: Settings, *candidates: Inspection | None) -> Inspection | None:
+    """Return the candidate that leaves the fewest stages to do, None if there is none."""
+    known = [candidate for candidate in candidates if candidate is not None]
+    return min(known, key=lambda one: len(one.stale(settings)), default=None)

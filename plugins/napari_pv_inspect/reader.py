@@ -1,0 +1,66 @@
+"""Which paths the workbench can open; everything heavy is imported when one is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+__all__ = ["get_reader"]
+
+LayerData = tuple[Any, dict[str, Any], str]
+Reader = Callable[[Any], list[LayerData]]
+
+NOTHING: list[LayerData] = [(None,)]  # type: ignore[list-item]
+IMAGES = {".tif", ".tiff", ".png"}
+
+
+def get_reader(path: str | Sequence[str]) -> Reader | None:
+    """Return a reader for a folder of frames, a TIFF stack or a result folder, else None.
+
+    Parameters
+    ----------
+    path : str or list of str
+        One path, or the frames of one sequence as a list.
+    """
+    if not isinstance(path, (str, Path)):
+        return read_sequence if path and all(_is_image(Path(p)) for p in path) else None
+    place = Path(path)
+    if place.is_dir():
+        if (place / "result.json").is_file():
+            return read_result
+        folder = place / "frames" if (place / "frames").is_dir() else place
+        return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
+    return read_sequence if place.suffix.lower() in {".tif", ".tiff"} else None
+
+
+def read_sequence(path: Any) -> list[LayerData]:
+    """Read frames as one lazy stack."""
+    from napari_pv_inspect.sources import open_sequence, sequence_layer
+
+    return _or_notice(lambda: [sequence_layer(open_sequence(path))])
+
+
+def read_result(path: Any) -> list[LayerData]:
+    """Read the module image, its support and its cracks."""
+    from napari_pv_inspect.sources import result_layers
+
+    return _or_notice(lambda: result_layers(Path(path)))
+
+
+def _or_notice(read: Callable[[], list[LayerData]]) -> list[LayerData]:
+    """Turn what is wrong with the input into one sentence instead of a traceback."""
+    from napari.utils.notifications import show_error
+
+    from pv_inspect.errors import InspectionError
+
+    try:
+        return read()
+    except InspectionError as error:
+        show_error(str(error))
+        # What napari takes as "read, and nothing to show".
+        return NOTHING
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in IMAGES

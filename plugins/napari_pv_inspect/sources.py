@@ -1,0 +1,116 @@
+"""What the reader gives to napari: a sequence as a lazy stack, a result folder as images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import dask
+import dask.array as da
+import numpy as np
+from napari.utils.colormaps import Colormap
+from numpy.typing import NDArray
+
+from napari_pv_inspect.appearance import (
+    CRACKS,
+    FRAMES,
+    MODULE,
+    SUPPORT,
+    contrast_limits,
+    crack_colormap,
+)
+from napari_pv_inspect.reader import LayerData
+from pv_inspect.cells import CellTiles
+from pv_inspect.cracks import CrackMap
+from pv_inspect.results import Result, read_result
+from pv_inspect.sequence import Sequence
+
+__all__ = [
+    "RESULT_KEY",
+    "SEQUENCE_KEY",
+    "lazy_stack",
+    "open_sequence",
+    "result_cells",
+    "result_layers",
+    "sequence_layer",
+]
+
+# Under these keys of its metadata a layer carries what it shows; the workbench adopts such layers.
+SEQUENCE_KEY = "pv_inspect.sequence"
+RESULT_KEY = "pv_inspect.result"
+
+
+def open_sequence(path: Any) -> Sequence:
+    """Open one path, or a list of frames.
+
+    Raises
+    ------
+    InspectionError
+        If the frames are no usable sequence.
+    """
+    return Sequence.open(path if isinstance(path, (str, Path)) else [Path(p) for p in path])
+
+
+def lazy_stack(sequence: Sequence) -> da.Array:
+    """Frames (n_frames, height, width) float32, full scale = 1, each read when looked at."""
+    frames = [
+        da.from_delayed(dask.delayed(_frame)(sequence, i), sequence.shape, np.float32)
+        for i in range(len(sequence))
+    ]
+    return da.stack(frames)
+
+
+def sequence_layer(sequence: Sequence) -> LayerData:
+    """Return the lazy stack as a napari layer; only its first frame is read now."""
+    attributes = {
+        "name": FRAMES,
+        "contrast_limits": contrast_limits(_frame(sequence, 0)),
+        "colormap": "gray",
+        "axis_labels": ("frame", "row", "col"),
+        "metadata": {SEQUENCE_KEY: sequence},
+    }
+    return lazy_stack(sequence), attributes, "image"
+
+
+def result_layers(folder: Path) -> list[LayerData]:
+    """Return module image, support and cracks of a result folder, the image carrying the result."""
+    result: Result = read_result(folder)
+    image = {
+        "name": MODULE,
+        "contrast_limits": contrast_limits(result.image),
+        "colormap": "gray",
+        "metadata": {RESULT_KEY: result},
+    }
+    support = {
+        "name": SUPPORT,
+        "contrast_limits": (0.0, 1.0),
+        "colormap": "viridis",
+        "visible": False,
+    }
+    cracks = {
+        "name": CRACKS,
+        "contrast_limits": (0.0, 1.0),
+        "colormap": Colormap(**crack_colormap()),
+        "blending": "translucent",
+        "opacity": 0.75,
+    }
+    return [
+        (result.image, image, "image"),
+        (result.support, support, "image"),
+        (result.cracks, cracks, "image"),
+    ]
+
+
+def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
+    """Return cell tiles and crack map of a result folder, for the gallery."""
+    grid, layout = result.grid, result.grid.layout
+    tiles = [
+        [result.image[grid.cell_slices(row, col)] for col in range(layout.cols)]
+        for row in range(layout.rows)
+    ]
+    cracks = CrackMap(result.cracks, result.crack_threshold, "", result.cells)
+    return CellTiles(np.array(tiles, dtype=np.float32), grid), cracks
+
+
+def _frame(sequence: Sequence, index: int) -> NDArray[np.float32]:
+    return sequence.frame(index).image

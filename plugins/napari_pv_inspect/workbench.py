@@ -1,0 +1,134 @@
+"""One workbench per viewer: model, layers and controllers, tied together and let go together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from napari.components import ViewerModel
+from napari.layers import Layer
+from napari.utils.notifications import show_error
+from qtpy.QtCore import QEvent, QObject, QTimer
+from superqt.utils import qthrottled
+
+from napari_pv_inspect.layers.frames import FramesLayer
+from napari_pv_inspect.layers.geometry import GeometryLayers
+from napari_pv_inspect.layers.module import ModuleLayers
+from napari_pv_inspect.live import LiveKappa
+from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.navigation import Navigator
+from napari_pv_inspect.sources import RESULT_KEY, open_sequence
+from napari_pv_inspect.worker import RunController
+from pv_inspect.errors import InspectionError
+from pv_inspect.results import Result
+
+__all__ = ["Workbench"]
+
+PREVIEW_MS = 300
+
+
+class Workbench(QObject):
+    """Everything of pv-inspect that belongs to one viewer, except the docks that show it."""
+
+    _of_viewer: ClassVar[WeakKeyDictionary[Any, Workbench]] = WeakKeyDictionary()
+
+    @classmethod
+    def of(cls, viewer: ViewerModel) -> Workbench:
+        """Return the workbench of a viewer, made when first asked for."""
+        # napari gives plugins a proxy of the viewer.
+        viewer = getattr(viewer, "__wrapped__", viewer)
+        if viewer not in cls._of_viewer:
+            cls._of_viewer[viewer] = cls(viewer)
+        return cls._of_viewer[viewer]
+
+    def __init__(self, viewer: ViewerModel) -> None:
+        super().__init__()
+        self.viewer = viewer
+        self.has_gallery = False
+        self.model = WorkbenchModel()
+        self.runs = RunController(self.model)
+        self.frames = FramesLayer(viewer, self.model)
+        self.geometry = GeometryLayers(viewer, self.model)
+        self.module = ModuleLayers(viewer, self.model)
+        self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
+        self.navigator = Navigator(viewer, self.model, self.module)
+        self._preview: Any = None
+        self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
+        self.model.preview_changed.connect(self._on_preview)
+        self.model.noticed.connect(self._on_notice)
+        self.model.sequence_changed.connect(self._on_sequence)
+        viewer.layers.events.inserted.connect(self._on_inserted)
+        window = getattr(viewer, "window", None)
+        self._main_window = getattr(window, "_qt_window", None)
+        self._fit_timer = QTimer(self)
+        self._fit_timer.setSingleShot(True)
+        self._fit_timer.setInterval(50)
+        self._fit_timer.timeout.connect(self.navigator.to_all)
+        if self._main_window is not None:
+            self._main_window.installEventFilter(self)
+        for layer in list(viewer.layers):
+            self._adopt(layer)
+
+    def open(self, path: Path | str) -> None:
+        """Put a sequence on the bench; what is wrong with it becomes a notice."""
+        try:
+            self.model.open(open_sequence(path))
+        except InspectionError as error:
+            self.model.notice(str(error), is_error=True)
+
+    def close(self) -> None:
+        """Stop a run and let go of the viewer; called when its window closes."""
+        if self.viewer not in self._of_viewer:
+            return
+        del self._of_viewer[self.viewer]
+        self.runs.shutdown()
+        self._show_preview.cancel()
+        self._fit_timer.stop()
+        self.live.close()
+        self.frames.close()
+        self.viewer.layers.events.inserted.disconnect(self._on_inserted)
+        if self._main_window is not None:
+            self._main_window.removeEventFilter(self)
+            self._main_window = None
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+        """Close with the window, and before it."""
+        if watched is self._main_window and event.type() == QEvent.Type.Close:
+            self.close()
+        return False
+
+    def fit_view(self) -> None:
+        """Show everything, once docks that come or go have settled."""
+        self._fit_timer.start()
+
+    def _on_sequence(self, _: object) -> None:
+        self.fit_view()
+
+    def _on_inserted(self, event: Any) -> None:
+        self._adopt(event.value)
+
+    def _adopt(self, layer: Layer) -> None:
+        if not self.frames.adopt(layer) and isinstance(
+            result := layer.metadata.get(RESULT_KEY), Result
+        ):
+            self.model.open_result(result)
+
+    def _on_preview(self, image: Any) -> None:
+        self._preview = image
+        if image is None:
+            self._show_preview.cancel()
+        else:
+            self._show_preview()
+
+    def _draw_preview(self) -> None:
+        if isinstance(self._preview, np.ndarray):
+            self.module.preview(self._preview)
+
+    def _on_notice(self, text: str, is_error: bool) -> None:
+        # Good news stands in the dock and in the status bar: it needs no pop-up over the image.
+        if is_error:
+            show_error(text)
+        else:
+            self.viewer.status = text

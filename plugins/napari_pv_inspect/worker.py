@@ -1,0 +1,162 @@
+"""Runs the pipeline beside the window: the generator's steps arrive in the main thread."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Any
+
+from napari.qt.threading import GeneratorWorker
+from qtpy.QtCore import QObject, QThreadPool
+
+from napari_pv_inspect.model import RunState, WorkbenchModel
+from pv_inspect import pipeline
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection, Step
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings, Stage
+
+__all__ = ["Outcome", "RunController"]
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: with an inspection, with a sentence for the user, or stopped on purpose."""
+
+    inspection: Inspection | None = None
+    failure: str = ""
+
+
+def guarded(
+    sequence: Sequence, settings: Settings, start: Inspection | None, until: Stage | None
+) -> Generator[Step, None, Outcome]:
+    """Yield the steps of the pipeline and return an Outcome, whatever happens.
+
+    Parameters
+    ----------
+    until : Stage, optional
+        Stop when this stage has brought its part.
+    """
+    steps = pipeline.inspect(sequence, settings, start)
+    try:
+        while True:
+            try:
+                step = next(steps)
+            except StopIteration as end:
+                return Outcome(end.value)
+            yield step
+            if until is not None and _past(step, until):
+                return Outcome()
+    except InspectionError as error:
+        return Outcome(failure=str(error))
+    except Exception as error:
+        # A worker that lets a RuntimeError through never reports its end.
+        log.exception("the run failed")
+        return Outcome(failure=f"The run failed unexpectedly ({type(error).__name__}: {error}).")
+    finally:
+        steps.close()
+
+
+def _past(step: Step, until: Stage) -> bool:
+    if step.stage.index > until.index:
+        return True
+    return step.stage is until and step.partial is not None
+
+
+class InspectionWorker(GeneratorWorker):  # type: ignore[misc]
+    """A worker that closes its generator in its own thread, so that cancelling frees it at once."""
+
+    def work(self) -> Any:
+        """Consume the generator until its end or until asked to quit."""
+        try:
+            return super().work()
+        finally:
+            self._gen.close()
+
+
+class RunController(QObject):
+    """Starts, cancels and ends runs; one at a time.
+
+    The signals of a worker are connected to bound methods of this object, which lives in the main
+    thread: Qt then delivers them there, and drops them when the object is gone.
+    """
+
+    def __init__(self, model: WorkbenchModel) -> None:
+        super().__init__()
+        self.model = model
+        self._worker: InspectionWorker | None = None
+        self._outcome: Outcome | None = None
+        self._until: Stage | None = None
+        model.sequence_changed.connect(self._on_sequence)
+
+    def start(self, until: Stage | None = None) -> bool:
+        """Start a run with the model's settings; False if it can't start now."""
+        try:
+            start = self.model.begin_run()
+        except InspectionError as error:
+            self.model.notice(str(error), is_error=True)
+            return False
+        self._until, self._outcome = until, None
+        worker = InspectionWorker(guarded, self.model.sequence, self.model.settings, start, until)
+        worker.yielded.connect(self._on_step)
+        worker.returned.connect(self._on_return)
+        worker.finished.connect(self._on_finish)
+        self._worker = worker
+        worker.start()
+        return True
+
+    def cancel(self) -> None:
+        """Ask the run to stop; it does so at its next step."""
+        if self._worker is not None and self.model.run_state is RunState.RUNNING:
+            self.model.stopping()
+            self._worker.quit()
+
+    def shutdown(self, wait_ms: int = 3000) -> None:
+        """Stop for good: nothing reaches the model any more; wait briefly for the thread."""
+        worker, self._worker = self._worker, None
+        if worker is None:
+            return
+        worker.yielded.disconnect(self._on_step)
+        worker.returned.disconnect(self._on_return)
+        worker.finished.disconnect(self._on_finish)
+        worker.quit()
+        QThreadPool.globalInstance().waitForDone(wait_ms)
+
+    def _on_sequence(self, _: Sequence | None) -> None:
+        # What a run says about the sequence that was on the bench before is of no use any more.
+        self.shutdown()
+
+    def _on_step(self, step: Step) -> None:
+        if self._worker is not None:
+            self.model.absorb(step)
+
+    def _on_return(self, outcome: Outcome) -> None:
+        self._outcome = outcome
+
+    def _on_finish(self) -> None:
+        if self._worker is None:
+            return
+        self._worker = None
+        outcome = self._outcome
+        if outcome is None:
+            self.model.end_run(None, keep_draft=False)
+            self.model.notice("Cancelled; the last whole result is kept.")
+        elif outcome.failure:
+            self.model.end_run(None, keep_draft=False)
+            self.model.notice(outcome.failure, is_error=True)
+        else:
+            self.model.end_run(outcome.inspection, keep_draft=self._until is not None)
+            self.model.notice(_summary(self.model.inspection))
+
+
+def _summary(inspection: Inspection | None) -> str:
+    if inspection is None:
+        return ""
+    frames = inspection.registration or inspection.calibration
+    used = "" if frames is None else f"{int(frames.used.sum())} of {len(frames.used)} frames used"
+    if inspection.complete:
+        return f"Done: {used}, {sum(inspection.seconds.values()):.0f} s."
+    return f"Grid fitted: {used}."

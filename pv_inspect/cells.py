@@ -1,0 +1,65 @@
+"""The module image cut into its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.layout import HrGrid
+from pv_inspect.reconstruction import Reconstruction
+
+__all__ = ["CellTiles", "cut_cells"]
+
+
+@dataclass(frozen=True, eq=False)
+class CellTiles:
+    """One image per cell, all of the same size.
+
+    Parameters
+    ----------
+    images : (rows, cols, h, w) float32
+        Tile of every cell, full scale = 1; h x w pixels are one cell pitch.
+    grid : HrGrid
+        Where the tiles lie: ``grid.cell_slices(row, col)``.
+    """
+
+    images: NDArray[np.float32]
+    grid: HrGrid
+
+    def assemble(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Put maps of all cells back into place on the HR grid; the margin is 0.
+
+        Parameters
+        ----------
+        maps : (rows, cols, h, w) float32
+
+        Returns
+        -------
+        (H, W) float32
+        """
+        whole = np.zeros(self.grid.shape, np.float32)
+        for row, col in np.ndindex(*maps.shape[:2]):
+            whole[self.grid.cell_slices(row, col)] = maps[row, col]
+        return whole
+
+
+def cut_cells(reconstruction: Reconstruction) -> CellTiles:
+    """Cut the rectified module into its cells.
+
+    Crossing points fall between HR pixels and a cell is a whole number of them, so that cutting
+    does not resample.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+
+    Returns
+    -------
+    CellTiles
+    """
+    grid, image = reconstruction.grid, reconstruction.image
+    rows, cols = grid.layout.rows, grid.layout.cols
+    tiles = [[image[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)]
+    return CellTiles(np.array(tiles, dtype=np.float32), grid)

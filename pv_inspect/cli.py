@@ -1,0 +1,331 @@
+"""The command line: ``pv-inspect run | simulate | gui``."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pv_inspect import __version__
+from pv_inspect.errors import InspectionError
+from pv_inspect.settings import Settings
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="pv-inspect",
+    help=(
+        "Turn a short sequence of coarse frames of a solar module into one straight, sharp image, "
+        "cut it into cells and mark suspected cracks."
+    ),
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _option(setting: str, *names: str) -> Any:
+    """Option for a setting, with the setting's own description, unit and default."""
+    about = Settings.model_fields[setting]
+    long = f"--{setting.replace('_', '-')}"
+    spelled = names if any(name.startswith("--") for name in names) else (long, *names)
+    default = "" if about.default is None else f" Default {about.default}."
+    unit = Settings.unit_of(setting)
+    unit_text = "" if unit in ("1", "file") else f" [{unit}]"
+    return typer.Option(*spelled, help=f"{about.description}{unit_text}{default}")
+
+
+Debug = Annotated[
+    bool, typer.Option("--debug", help="Show the traceback if the program itself fails.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+
+
+def main() -> None:
+    """Entry point of the command ``pv-inspect``."""
+    app()
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pv-inspect {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command()
+def run(
+    sequence: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of 8- or 16-bit TIFF or PNG frames (or one that has them in frames/), or "
+            "a multi-page TIFF.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Result folder; an earlier result in it is replaced, as a whole.",
+            show_default=False,
+        ),
+    ],
+    rows: Annotated[int | None, _option("rows")] = None,
+    cols: Annotated[int | None, _option("cols")] = None,
+    cell_aspect: Annotated[float | None, _option("cell_aspect")] = None,
+    magnification: Annotated[float | None, _option("magnification", "-m")] = None,
+    prior_weight: Annotated[float | None, _option("prior_weight", "--lambda")] = None,
+    max_iterations: Annotated[int | None, _option("max_iterations")] = None,
+    kappa: Annotated[float | None, _option("kappa")] = None,
+    focal_length: Annotated[float | None, _option("focal_length_px", "--focal-length")] = None,
+    psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
+    crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
+    dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
+    settings_file: Annotated[
+        Path | None,
+        typer.Option("--settings", help="TOML file of settings; the options above win over it."),
+    ] = None,
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, help="Threads to compute with; all cores if not given."),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Reconstruct one module and write its result folder.
+
+    Writes module_hr.tif, support.tif, cracks.tif, cells/, cells.csv, report.html and result.json.
+    """
+    with _one_sentence(debug):
+        # Imported here: --help and --version answer at once.
+        from pv_inspect.pipeline import inspect
+        from pv_inspect.progress import follow
+        from pv_inspect.results import check_writable, write_result
+        from pv_inspect.sequence import Sequence
+
+        given = {
+            "rows": rows,
+            "cols": cols,
+            "cell_aspect": cell_aspect,
+            "magnification": magnification,
+            "prior_weight": prior_weight,
+            "kappa": kappa,
+            "focal_length_px": focal_length,
+            "psf_sigma_lr_px": psf_sigma,
+            "dark_frame": dark_frame,
+            "max_iterations": max_iterations,
+            "crack_threshold": crack_threshold,
+        }
+        settings = Settings.from_toml(settings_file) if settings_file else Settings()
+        settings = settings.changed(**{k: v for k, v in given.items() if v is not None})
+        check_writable(out)
+        _use_threads(threads)
+        begun = perf_counter()
+        opened = Sequence.open(sequence, settings.dark_frame)
+        inspection = follow(inspect(opened, settings), quiet=quiet)
+        write_result(inspection, out)
+        if not quiet:
+            typer.echo(_summary(inspection, out, perf_counter() - begun))
+
+
+@app.command()
+def simulate(
+    out: Annotated[
+        Path, typer.Argument(help="Folder to make; must not hold anything.", show_default=False)
+    ],
+    rows: Annotated[int, typer.Option(help="Rows of cells [cells].")] = 6,
+    cols: Annotated[int, typer.Option(help="Columns of cells [cells].")] = 10,
+    cell_aspect: Annotated[float, typer.Option(help="Cell width / cell height.")] = 1.0,
+    frames: Annotated[int, typer.Option(help="Number of frames.")] = 20,
+    width: Annotated[int, typer.Option(help="Width of a frame [LR px].")] = 640,
+    height: Annotated[int, typer.Option(help="Height of a frame [LR px].")] = 512,
+    kappa: Annotated[
+        float, typer.Option(help="Radial distortion, r_d = r_u + kappa r_u^3.")
+    ] = -0.2,
+    wafer: Annotated[str, typer.Option(help="Kind of cells: multi or mono.")] = "multi",
+    seed: Annotated[int, typer.Option(help="Same seed and settings, same frames.")] = 0,
+    more: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Any other number of the simulation, for example --set psf_sigma_px=0.6; "
+            "--set help lists all with unit and range.",
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Simulate a sequence with its complete truth.
+
+    Writes frames/, module.json and truth/ (truth.json, hr.png, cracks.png).
+    """
+    with _one_sentence(debug):
+        from pv_inspect.progress import follow_fraction
+        from pv_inspect.simulate import SimulationSettings, write_sequence
+        from pv_inspect.simulate import simulate as simulate_sequence
+
+        if more and "help" in more:
+            typer.echo(_simulation_help())
+            return
+        values: dict[str, Any] = {
+            "rows": rows,
+            "cols": cols,
+            "cell_aspect": cell_aspect,
+            "n_frames": frames,
+            "width": width,
+            "height": height,
+            "kappa": kappa,
+            "wafer": wafer,
+            "seed": seed,
+        }
+        values.update(_assignment(text) for text in more or [])
+        settings = SimulationSettings(**values)
+        sequence = follow_fraction(simulate_sequence(settings), "simulating", quiet=quiet)
+        write_sequence(sequence, out)
+        if not quiet:
+            typer.echo(f"{frames} frames of {width} x {height} with their truth are in {out}")
+
+
+@app.command()
+def gui(
+    sequence: Annotated[
+        Path | None,
+        typer.Argument(help="Frames or a result folder to open.", show_default=False),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Open the workbench in napari, with a sequence if one is given."""
+    with _one_sentence(debug):
+        if sequence is not None and not sequence.exists():
+            raise InspectionError(f"{sequence} does not exist: give a folder of frames or a TIFF.")
+        try:
+            import_module("napari")
+            launch = import_module("napari_pv_inspect").launch
+        except ImportError as error:
+            raise InspectionError(
+                f"The workbench needs napari and Qt, but {error.name or error} can't be loaded: "
+                'install them with  pip install "pv-inspect[gui]".'
+            ) from None
+        launch(sequence)
+
+
+@contextmanager
+def _one_sentence(debug: bool) -> Iterator[None]:
+    """Turn whatever goes wrong into one sentence on stderr and an exit code."""
+    try:
+        yield
+    except InspectionError as error:
+        _fail(str(error), 1)
+    except KeyboardInterrupt:
+        _fail("Interrupted; nothing was written.", 130)
+    except MemoryError:
+        _fail("Not enough memory: lower the magnification or close other programs.", 1)
+    except (typer.Exit, typer.Abort):
+        raise
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        hint = "" if debug else " (--debug shows where)"
+        reason = " ".join(str(error).split()) or "no message"
+        _fail(f"The program failed unexpectedly: {type(error).__name__}: {reason}{hint}.", 1)
+
+
+def _fail(sentence: str, code: int) -> None:
+    typer.echo(f"pv-inspect: {sentence}", err=True)
+    raise typer.Exit(code)
+
+
+def _use_threads(threads: int | None) -> None:
+    import cv2
+    import numba
+
+    if threads is not None:
+        available = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+        numba.set_num_threads(min(threads, available))
+        cv2.setNumThreads(threads)
+
+
+def _summary(inspection: Any, out: Path, seconds: float) -> str:
+    """What a run has come to, in a few lines."""
+    registration, cracks = inspection.registration, inspection.cracks
+    used = registration.used
+    rejected = [
+        f"  not used: {name}: {why}"
+        for name, ok, why in zip(inspection.sequence.names, used, registration.why, strict=True)
+        if not ok
+    ]
+    suspected = sum(cell.crack_instances > 0 for cell in cracks.cells)
+    rms = np.asarray(registration.rms, np.float64)[used]
+    rms_text = f"{np.median(rms):.2f}" if np.isfinite(rms).any() else "not measured"
+    height, width = inspection.reconstruction.image.shape
+    magnification = inspection.reconstruction.grid.magnification
+    lines = [
+        f"frames    {int(used.sum())} of {used.size} used",
+        *rejected,
+        f"residual  {rms_text} (median over frames, units of the noise; 1 is ideal)",
+        f"module    {width} x {height} px, {magnification:.2f}x",
+        f"cells     {len(cracks.cells)}, cracks suspected in {suspected}",
+        *(f"warning   {text}" for text in inspection.warnings if "is not used" not in text),
+        f"results   {out}",
+        f"report    {out / 'report.html'}",
+        f"time      {seconds:.1f} s",
+    ]
+    return "\n".join(lines)
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    from pv_inspect.simulate import SimulationSettings
+
+    name, equals, value = text.partition("=")
+    spec = {f.name: f for f in fields(SimulationSettings)}.get(name.strip())
+    if spec is None or not equals:
+        raise InspectionError(
+            f"--set {text} is no setting of the simulation: give NAME=VALUE; --set help lists all."
+        )
+    kind, value = str(spec.type), value.strip()
+    try:
+        if kind == "bool":
+            return spec.name, {"true": True, "false": False}[value.lower()]
+        if kind == "str":
+            return spec.name, value
+        return spec.name, int(value) if kind == "int" else float(value)
+    except (KeyError, ValueError):
+        raise InspectionError(f"--set {text}: {value!r} is no value of type {kind}.") from None
+
+
+def _simulation_help() -> str:
+    from pv_inspect.simulate import SimulationSettings
+
+    lines = []
+    for spec in fields(SimulationSettings):
+        about = spec.metadata
+        limits = (
+            f"{about['low']:g} to {about['high']:g} {about['unit']}"
+            if "low" in about
+            else ", ".join(about.get("choices", ("true", "false")))
+        )
+        lines.append(f"{spec.name} = {spec.default}  [{limits}]  {about.get('help', '')}")
+    return "\n".join(lines)

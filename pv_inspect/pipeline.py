@@ -1,0 +1,371 @@
+"""The stages of the method in their order, as one generator of Step events.
+
+The command line, the workbench, a notebook and a batch all drive `inspect`: progress is a yield,
+a preview is ``Step.partial``, cancelling is closing the generator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import TypeVar
+
+import numpy as np
+
+from pv_inspect.calibration import Calibration, calibrate
+from pv_inspect.cells import CellTiles, cut_cells
+from pv_inspect.cracks import CrackMap, read_cracks
+from pv_inspect.detection import Crossings, detect
+from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.reconstruction import Reconstruction, reconstruct
+from pv_inspect.registration import Registration, register
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings, Stage
+
+__all__ = ["Inspection", "Step", "inspect", "run_to_end"]
+
+Part = Crossings | Calibration | Registration | Reconstruction | CellTiles | CrackMap
+T = TypeVar("T")
+
+# The field of Inspection that a stage fills, and roughly what share of a run it takes.
+_FIELD: dict[Stage, str] = {
+    Stage.DETECT: "crossings",
+    Stage.CALIBRATE: "calibration",
+    Stage.REGISTER: "registration",
+    Stage.RECONSTRUCT: "reconstruction",
+    Stage.CELLS: "tiles",
+    Stage.CRACKS: "cracks",
+}
+_WEIGHT: dict[Stage, float] = {
+    Stage.DETECT: 0.15,
+    Stage.CALIBRATE: 0.02,
+    Stage.REGISTER: 0.25,
+    Stage.RECONSTRUCT: 0.5,
+    Stage.CELLS: 0.005,
+    Stage.CRACKS: 0.075,
+}
+_STAGE_OF_PART: dict[type, Stage] = {
+    Crossings: Stage.DETECT,
+    Calibration: Stage.CALIBRATE,
+    Registration: Stage.REGISTER,
+    Reconstruction: Stage.RECONSTRUCT,
+    CellTiles: Stage.CELLS,
+    CrackMap: Stage.CRACKS,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One event of a run.
+
+    Parameters
+    ----------
+    stage : Stage
+        The stage that is working.
+    fraction : float
+        Share of the whole run that is done, 0 to 1; never falls.
+    message : str
+        What is being done, for a person.
+    partial : object or None
+        What a stage has made, in the step that ends it (`Crossings`, `Calibration`,
+        `Registration`, `Reconstruction`, `CellTiles`, `CrackMap`); during the reconstruction at
+        times the (H, W) float32 image so far, full scale = 1.
+    """
+
+    stage: Stage
+    fraction: float
+    message: str
+    partial: object | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """All that is known about one sequence; parts of stages that have not run are None.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    settings : Settings
+        The settings that all present parts were made with.
+    layout : ModuleLayout
+    crossings, calibration, registration, reconstruction, tiles, cracks
+        What the stages have made.
+    seconds : dict of str to float
+        Wall time of every stage that ran, without the time in which the caller of the generator
+        held it; reused parts keep the seconds of the run that made them.
+    warnings : tuple of str
+        What a user should know about the result, one sentence each.
+    """
+
+    sequence: Sequence
+    settings: Settings
+    layout: ModuleLayout
+    crossings: Crossings | None = None
+    calibration: Calibration | None = None
+    registration: Registration | None = None
+    reconstruction: Reconstruction | None = None
+    tiles: CellTiles | None = None
+    cracks: CrackMap | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every stage has run."""
+        return all(getattr(self, name) is not None for name in _FIELD.values())
+
+    def stale(self, settings: Settings) -> frozenset[Stage]:
+        """Return the stages that have to run (again) for these settings.
+
+        Parameters
+        ----------
+        settings : Settings
+            The settings wanted now.
+
+        Returns
+        -------
+        frozenset of Stage
+            Every stage from the first that the change touches, or that has not run.
+        """
+        first = self.settings.first_stale_stage(settings)
+        missing = [stage for stage, name in _FIELD.items() if getattr(self, name) is None]
+        start = min([*missing, *([first] if first else [])], key=_position, default=None)
+        return frozenset(stage for stage in Stage if start and stage.index >= start.index)
+
+    def with_part(self, part: Part) -> Inspection:
+        """Return a copy with one part put in and all that was made from its predecessor dropped.
+
+        This is how a caller keeps what a cancelled run has made (``Step.partial``), or enters
+        with own crossing points, a known camera or a finished registration.
+
+        Parameters
+        ----------
+        part : Crossings, Calibration, Registration, Reconstruction, CellTiles or CrackMap
+
+        Returns
+        -------
+        Inspection
+        """
+        stage = _STAGE_OF_PART[type(part)]
+        later = [s for s in _FIELD if s.index > stage.index]
+        seconds = {k: v for k, v in self.seconds.items() if k not in {s.value for s in later}}
+        emptied = dict.fromkeys((_FIELD[s] for s in later), None)
+        # `replace` can't know which type belongs to which field; _STAGE_OF_PART does.
+        return replace(self, seconds=seconds, **{**emptied, _FIELD[stage]: part})  # type: ignore[arg-type]
+
+    def _only(self, settings: Settings) -> Inspection:
+        """Return what of this is still true under other settings."""
+        stale = self.stale(settings)
+        emptied = {_FIELD[stage]: None for stage in stale if stage in _FIELD}
+        seconds = {k: v for k, v in self.seconds.items() if Stage(k) not in stale}
+        kept: Inspection = replace(self, settings=settings, seconds=seconds, **emptied)  # type: ignore[arg-type]
+        return kept
+
+
+def _position(stage: Stage) -> int:
+    return stage.index
+
+
+def inspect(
+    sequence: Sequence, settings: Settings | None = None, start: Inspection | None = None
+) -> Generator[Step, None, Inspection]:
+    """Run the whole method on one sequence (paper, Fig. 2).
+
+    Parameters
+    ----------
+    sequence : Sequence
+    settings : Settings, optional
+        The defaults if not given.
+    start : Inspection, optional
+        An earlier, possibly partial result of the same `Sequence` object: what the settings do
+        not make stale is taken over instead of computed.
+
+    Yields
+    ------
+    Step
+        What is going on. Closing the generator cancels the run.
+
+    Returns
+    -------
+    Inspection
+        Complete.
+
+    Raises
+    ------
+    InspectionError
+        If the layout is unknown, or no frame can be used.
+    """
+    settings = settings if settings is not None else Settings()
+    begun = perf_counter()
+    layout = sequence.layout(settings)
+    if start is None or start.sequence is not sequence:
+        state = Inspection(sequence, settings, layout)
+    else:
+        state = replace(start._only(settings), layout=layout)
+    todo = [stage for stage in _FIELD if stage in state.stale(settings)]
+    seconds = dict(state.seconds)
+    seconds.setdefault(Stage.LOAD.value, perf_counter() - begun)
+    total = sum(_WEIGHT[stage] for stage in todo) or 1.0
+    done = 0.0
+    yield Step(
+        Stage.LOAD, 0.0, f"{len(sequence)} frames of {sequence.shape[1]} x {sequence.shape[0]}"
+    )
+    for stage in todo:
+        work = _run_stage(stage, state)
+        spent = 0.0
+        try:
+            while True:
+                begun = perf_counter()
+                try:
+                    inner, message, preview = next(work)
+                except StopIteration as end:
+                    part: Part = end.value
+                    spent += perf_counter() - begun
+                    break
+                spent += perf_counter() - begun
+                share = done + _WEIGHT[stage] * min(max(inner, 0.0), 1.0)
+                yield Step(stage, share / total, message, preview)
+        finally:
+            work.close()
+        state = state.with_part(part)
+        seconds[stage.value] = spent
+        state = replace(state, seconds=dict(seconds))
+        done += _WEIGHT[stage]
+        yield Step(stage, min(done / total, 1.0), _ended(stage, state), part)
+    return replace(state, seconds=seconds, warnings=_warnings(state))
+
+
+def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
+    """Drive `inspect` to its end and return the result.
+
+    Parameters
+    ----------
+    steps : generator
+        What `inspect` returned.
+
+    Returns
+    -------
+    Inspection
+    """
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: Inspection = end.value
+            return result
+
+
+_Event = tuple[float, str, object | None]
+
+
+def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]:
+    """Run one stage; yields (fraction of the stage, message, preview)."""
+    sequence, settings = state.sequence, state.settings
+    if stage is Stage.DETECT:
+        return (yield from _told(detect(sequence, state.layout), "looking for the cell crossings"))
+    if stage is Stage.CALIBRATE:
+        crossings = _present(state.crossings)
+        _need_a_frame(sequence, [frame.why for frame in crossings.frames], state.layout)
+        yield 0.0, "fitting the camera and the poses", None
+        return calibrate(crossings, sequence.shape, settings)
+    if stage is Stage.REGISTER:
+        calibration = _present(state.calibration)
+        _need_a_frame(sequence, _reasons(calibration), state.layout)
+        steps = register(sequence, calibration, settings)
+        return (yield from _told(steps, "registering the frames against the module"))
+    if stage is Stage.RECONSTRUCT:
+        registration = _present(state.registration)
+        _need_a_frame(sequence, _reasons(registration), state.layout)
+        work = reconstruct(sequence, registration, settings)
+        try:
+            while True:
+                try:
+                    progress = next(work)
+                except StopIteration as end:
+                    reconstruction: Reconstruction = end.value
+                    return reconstruction
+                yield progress.fraction, progress.message, progress.image
+        finally:
+            work.close()
+    if stage is Stage.CELLS:
+        yield 0.0, "cutting the module into cells", None
+        return cut_cells(_present(state.reconstruction))
+    tiles = _present(state.tiles)
+    return (yield from _told(read_cracks(tiles, settings), "looking for cracks"))
+
+
+def _told(work: Generator[float, None, T], message: str) -> Generator[_Event, None, T]:
+    """Turn the bare fractions of a stage into events with a message."""
+    try:
+        while True:
+            try:
+                fraction = next(work)
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            yield fraction, message, None
+    finally:
+        work.close()
+
+
+def _present(part: T | None) -> T:
+    assert part is not None, "stages run in their order"
+    return part
+
+
+def _reasons(poses: Calibration | Registration) -> list[str]:
+    """Reason per frame; "" for the used ones."""
+    pairs = zip(poses.used, poses.why, strict=True)
+    return ["" if used else why or "not used" for used, why in pairs]
+
+
+def _need_a_frame(sequence: Sequence, reasons: list[str], layout: ModuleLayout) -> None:
+    if "" in reasons:
+        return
+    first = reasons[0].rstrip(".")
+    which = "the frame" if len(reasons) == 1 else f"any of the {len(reasons)} frames"
+    raise InspectionError(
+        f"No module of {layout.rows} x {layout.cols} cells (rows x columns) could be found in "
+        f"{which} ({sequence.names[0]}: {first}): check rows and cols, and that the frames show "
+        "one whole module."
+    )
+
+
+def _ended(stage: Stage, state: Inspection) -> str:
+    """What a stage has come to, for a person."""
+    if stage is Stage.DETECT:
+        frames = _present(state.crossings).frames
+        good = sum(not frame.why for frame in frames)
+        return f"module found in {good} of {len(frames)} frames"
+    if stage is Stage.CALIBRATE:
+        calibration = _present(state.calibration)
+        rms = np.median(calibration.rms_px[calibration.used]) if calibration.used.any() else np.nan
+        return f"camera fitted, kappa {calibration.camera.kappa:+.4f}, median rms {rms:.2f} px"
+    if stage is Stage.REGISTER:
+        registration = _present(state.registration)
+        return f"{int(registration.used.sum())} of {len(registration.used)} frames registered"
+    if stage is Stage.RECONSTRUCT:
+        height, width = _present(state.reconstruction).image.shape
+        return f"module image of {width} x {height} pixels"
+    if stage is Stage.CELLS:
+        return f"{state.layout.rows * state.layout.cols} cells cut"
+    suspected = sum(cell.crack_instances > 0 for cell in _present(state.cracks).cells)
+    return f"cracks suspected in {suspected} of {state.layout.rows * state.layout.cols} cells"
+
+
+def _warnings(state: Inspection) -> tuple[str, ...]:
+    registration, names = _present(state.registration), state.sequence.names
+    reasons = _reasons(registration)
+    n_used = reasons.count("")
+    found = []
+    if n_used == 1:
+        which = "1 frame" if len(reasons) == 1 else f"1 frame of {len(reasons)} could be used"
+        found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
+    found += [
+        f"{name} is not used: {why.rstrip('.')}."
+        for name, why in zip(names, reasons, strict=True)
+        if why
+    ]
+    return tuple(found)

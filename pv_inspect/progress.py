@@ -1,0 +1,129 @@
+"""Progress of a run on the terminal: a bar where there is one, plain lines where there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from time import perf_counter
+from typing import TypeVar
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from pv_inspect.pipeline import Inspection, Step
+from pv_inspect.settings import Stage
+
+__all__ = ["follow", "follow_fraction"]
+
+T = TypeVar("T")
+
+
+def follow(steps: Generator[Step, None, Inspection], quiet: bool = False) -> Inspection:
+    """Drive `pipeline.inspect` to its end and show on stderr how far it is.
+
+    Parameters
+    ----------
+    steps : generator of Step
+    quiet : bool
+        Show nothing.
+
+    Returns
+    -------
+    Inspection
+    """
+    return _drive(_as_events(steps), quiet)
+
+
+def follow_fraction(work: Generator[float, None, T], what: str, quiet: bool = False) -> T:
+    """Drive a generator of bare fractions to its end and show on stderr how far it is.
+
+    Parameters
+    ----------
+    work : generator of float
+    what : str
+        What is being done.
+    quiet : bool
+        Show nothing.
+    """
+
+    def events() -> Generator[_Event, None, T]:
+        while True:
+            try:
+                yield what, next(work), what, False
+            except StopIteration as end:
+                result: T = end.value
+                return result
+
+    return _drive(events(), quiet)
+
+
+# (what is at work, fraction of the whole, message, whether the message closes a stage)
+_Event = tuple[str, float, str, bool]
+
+
+def _as_events(steps: Generator[Step, None, Inspection]) -> Generator[_Event, None, Inspection]:
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as end:
+            result: Inspection = end.value
+            return result
+        # During the reconstruction `partial` is a preview; only a whole part ends a stage.
+        unfinished = step.partial is None or isinstance(step.partial, np.ndarray)
+        ends = step.stage is Stage.LOAD or not unfinished
+        yield step.stage.value, step.fraction, step.message, ends
+
+
+def _drive(events: Generator[_Event, None, T], quiet: bool) -> T:
+    console = Console(stderr=True)
+    try:
+        if quiet:
+            return _last(events)
+        if console.is_terminal:
+            return _with_bar(events, console)
+        return _with_lines(events, console)
+    finally:
+        events.close()
+
+
+def _last(events: Generator[_Event, None, T]) -> T:
+    while True:
+        try:
+            next(events)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+
+def _with_bar(events: Generator[_Event, None, T], console: Console) -> T:
+    columns = (
+        TextColumn("{task.fields[stage]:<12}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=1.0, stage="")
+        while True:
+            try:
+                stage, fraction, message, _ = next(events)
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            bar.update(task, completed=fraction, description=message, stage=stage)
+
+
+def _with_lines(events: Generator[_Event, None, T], console: Console) -> T:
+    """One line per finished stage, and a sign of life at least every ten seconds."""
+    told = perf_counter()
+    while True:
+        try:
+            stage, fraction, message, ends = next(events)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+        if ends or perf_counter() - told > 10:
+            told = perf_counter()
+            line = f"{100 * fraction:3.0f} %  {stage:<12} {message}"
+            console.print(line, markup=False, highlight=False, soft_wrap=True)

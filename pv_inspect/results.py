@@ -1,0 +1,392 @@
+"""The result folder: written whole or not at all, and read back for the viewer."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+import tifffile
+from numpy.typing import NDArray
+
+from pv_inspect import __version__
+from pv_inspect.camera import Camera
+from pv_inspect.cracks import CellFeatures
+from pv_inspect.errors import InspectionError
+from pv_inspect.folders import check_replaceable, recovered, replace_folder
+from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.pipeline import Inspection
+from pv_inspect.report import render_report
+from pv_inspect.settings import Settings
+from pv_inspect.versions import versions
+
+__all__ = [
+    "FrameResult",
+    "Result",
+    "check_writable",
+    "read_result",
+    "tile_name",
+    "write_result",
+]
+
+RESULT_FILES = ("module_hr.tif", "support.tif", "cracks.tif", "cells.csv", "report.html")
+RESULT_JSON = "result.json"
+CELLS_FOLDER = "cells"
+_TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
+_FEATURES = (
+    "crack_length_cells",
+    "crack_instances",
+    "dark_area_share",
+    "mean_intensity",
+    "crack_score",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """What became of one frame.
+
+    Parameters
+    ----------
+    file : str
+    used : bool
+    why : str
+        Why it is not used; "" if it is.
+    crossings_px : (n_crossings, 2) float64 or None
+        LR pixel positions of all crossing points, NaN beyond the fold of the lens.
+    H : (3, 3) float64 or None
+        Module plane to normalised image coordinates.
+    gain, offset : float
+        The frame is ``gain * (W f) + offset``, full-scale units.
+    rms : float
+        Residual in units of the noise.
+    """
+
+    file: str
+    used: bool
+    why: str
+    crossings_px: NDArray[np.float64] | None
+    H: NDArray[np.float64] | None
+    gain: float
+    offset: float
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A result folder, read.
+
+    Parameters
+    ----------
+    folder : Path
+    image, support, cracks : (H, W) float32
+        Module image (full scale = 1), support in [0, 1], crack probability in [0, 1].
+    grid : HrGrid
+    camera : Camera
+    frames : tuple of FrameResult
+    cells : tuple of CellFeatures
+        Row-major.
+    settings : Settings
+    crack_threshold : float
+    seconds : dict of str to float
+    warnings : tuple of str
+    versions : dict of str to str
+    """
+
+    folder: Path
+    image: NDArray[np.float32]
+    support: NDArray[np.float32]
+    cracks: NDArray[np.float32]
+    grid: HrGrid
+    camera: Camera
+    frames: tuple[FrameResult, ...]
+    cells: tuple[CellFeatures, ...]
+    settings: Settings
+    crack_threshold: float
+    seconds: dict[str, float]
+    warnings: tuple[str, ...]
+    versions: dict[str, str]
+
+
+def tile_name(row: int, col: int) -> str:
+    """File name of the tile of a cell; rows and columns are counted from 1, as people do."""
+    return f"r{row + 1:02d}_c{col + 1:02d}.tif"
+
+
+def write_result(inspection: Inspection, out: Path) -> None:
+    """Write the result folder (contract in the design), all or nothing.
+
+    Everything is written into a folder beside ``out`` and moved into place when it is whole. An
+    earlier result is replaced; files in it that this program did not write are kept.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        Complete.
+    out : Path
+
+    Raises
+    ------
+    InspectionError
+        If the inspection is not complete, or the folder can't be written; then an earlier result
+        is as it was.
+    """
+    if not inspection.complete:
+        raise InspectionError(
+            "This inspection is not complete, so that no result can be written: run it to its end."
+        )
+    replace_folder(out, _files(inspection), RESULT_JSON, _is_ours)
+
+
+def read_result(folder: Path) -> Result:
+    """Read a result folder.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InspectionError
+        If the folder is no result, or a file of it is missing or damaged.
+    """
+    folder = recovered(folder)
+    path = folder / RESULT_JSON
+    if not path.is_file():
+        raise InspectionError(
+            f"{folder} is no result folder ({RESULT_JSON} is missing): give the folder that "
+            "`pv-inspect run --out` wrote."
+        )
+    with _damaged(path):
+        record = json.loads(path.read_text(encoding="utf-8"))
+        made_of = record["layout"]
+        layout = ModuleLayout(made_of["rows"], made_of["cols"], made_of["cell_aspect"])
+        camera = Camera(np.array(record["camera"]["K"], np.float64), record["camera"]["kappa"])
+        frames = tuple(_frame_from(entry) for entry in record["frames"])
+        settings = Settings.create(**record["settings"])
+        x, y = record["origin_px"]
+        ppu, magnification = float(record["pixels_per_cell"][0]), float(record["magnification"])
+        threshold = float(record["crack_threshold"])
+        seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
+        made_with = dict(record["versions"])
+    image = _read_image(folder / "module_hr.tif")
+    support = _read_image(folder / "support.tif", image.shape)
+    probability = _read_image(folder / "cracks.tif", image.shape)
+    grid = HrGrid(layout, ppu, (float(x), float(y)), (len(image), image.shape[1]), magnification)
+    with _damaged(folder / "cells.csv"):
+        cells = _cells_from((folder / "cells.csv").read_text(encoding="utf-8"))
+    return Result(
+        folder,
+        image,
+        support,
+        probability,
+        grid,
+        camera,
+        frames,
+        cells,
+        settings,
+        threshold,
+        seconds,
+        warnings,
+        made_with,
+    )
+
+
+def check_writable(out: Path) -> None:
+    """Check, before anything is computed, that `write_result` can write to ``out``.
+
+    Parameters
+    ----------
+    out : Path
+        The folder that shall be made or replaced.
+
+    Raises
+    ------
+    InspectionError
+        If ``out`` is a file, holds things but no result, is a mount point, or nothing can be
+        created beside it.
+    """
+    check_replaceable(out, RESULT_JSON)
+
+
+def result_record(inspection: Inspection) -> dict[str, Any]:
+    """Return the content of ``result.json``: plain types, None for what is not a number."""
+    registration, reconstruction = inspection.registration, inspection.reconstruction
+    cracks, layout = inspection.cracks, inspection.layout
+    assert registration is not None
+    assert reconstruction is not None
+    assert cracks is not None
+    frames = []
+    for i, name in enumerate(inspection.sequence.names):
+        used = bool(registration.used[i])
+        frames.append(
+            {
+                "file": name,
+                "used": used,
+                "why": "" if used else registration.why[i],
+                "crossings_px": registration.crossings_px(i) if used else None,
+                "H": registration.homographies[i] if used else None,
+                "gain": registration.gain[i] if used else None,
+                "offset": registration.offset[i] if used else None,
+                "rms": registration.rms[i] if used else None,
+            }
+        )
+    seconds = dict(inspection.seconds)
+    record = {
+        **reconstruction.grid.to_dict(),
+        "rows": layout.rows,
+        "cols": layout.cols,
+        "layout": {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect},
+        "camera": {"K": registration.camera.K, "kappa": registration.camera.kappa},
+        "frames": frames,
+        "settings": inspection.settings.model_dump(mode="json"),
+        "prior_weight": reconstruction.prior_weight,
+        "psf_sigma_lr_px": reconstruction.psf_sigma_lr_px,
+        "crack_detector": cracks.detector,
+        "crack_threshold": cracks.threshold,
+        "seconds": {**seconds, "total": sum(seconds.values())},
+        "warnings": list(inspection.warnings),
+        "versions": versions(),
+    }
+    plain: dict[str, Any] = _plain(record)
+    return plain
+
+
+def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
+    """Name and content of every file of a result, ``result.json`` last."""
+    reconstruction, cracks, tiles = inspection.reconstruction, inspection.cracks, inspection.tiles
+    assert reconstruction is not None
+    assert cracks is not None
+    assert tiles is not None
+    grid = reconstruction.grid
+    yield "module_hr.tif", _tiff(reconstruction.image, grid, "rectified module, full scale = 1")
+    yield "support.tif", _tiff(reconstruction.support, grid, "support by the frames, 0 to 1", True)
+    yield "cracks.tif", _tiff(cracks.probability, grid, "crack probability, 0 to 1", True)
+    for row, col in np.ndindex(*tiles.images.shape[:2]):
+        what = f"cell in row {row + 1}, column {col + 1}, full scale = 1"
+        yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.images[row, col], grid, what)
+    yield "cells.csv", _csv(cracks.cells).encode()
+    yield "report.html", render_report(inspection).encode()
+    text = json.dumps(result_record(inspection), indent=1, allow_nan=False)
+    yield RESULT_JSON, text.encode()
+
+
+def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:
+    px, py = grid.pixels_per_cell
+    buffer = io.BytesIO()
+    # No physical cell size is known: the resolution is stated in pixels per cell width.
+    tifffile.imwrite(
+        buffer,
+        np.ascontiguousarray(image, np.float32),
+        photometric="minisblack",
+        compression="zlib" if pack else None,
+        resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
+        resolutionunit="NONE",
+        description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
+        software=f"pv-inspect {__version__}",
+        metadata=None,
+    )
+    return buffer.getvalue()
+
+
+def _csv(cells: tuple[CellFeatures, ...]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["row", "col", "tile", *_FEATURES])
+    for cell in cells:
+        tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
+        values = [f"{getattr(cell, name):.6g}" for name in _FEATURES]
+        writer.writerow([cell.row + 1, cell.col + 1, tile, *values])
+    return text.getvalue()
+
+
+def _read_image(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float32]:
+    with _damaged(path):
+        image = np.asarray(tifffile.imread(path), np.float32)
+        if image.ndim != 2 or (shape is not None and image.shape != shape):
+            raise ValueError(f"its shape is {image.shape}")
+    return image
+
+
+def _cells_from(text: str) -> tuple[CellFeatures, ...]:
+    return tuple(
+        CellFeatures(
+            row=int(line["row"]) - 1,
+            col=int(line["col"]) - 1,
+            crack_length_cells=float(line["crack_length_cells"]),
+            crack_instances=int(line["crack_instances"]),
+            dark_area_share=float(line["dark_area_share"]),
+            mean_intensity=float(line["mean_intensity"]),
+            crack_score=float(line["crack_score"]),
+        )
+        for line in csv.DictReader(io.StringIO(text))
+    )
+
+
+def _frame_from(entry: dict[str, Any]) -> FrameResult:
+    def array(name: str) -> NDArray[np.float64] | None:
+        return None if entry[name] is None else np.array(entry[name], np.float64)
+
+    def number(name: str) -> float:
+        return float("nan") if entry[name] is None else float(entry[name])
+
+    return FrameResult(
+        str(entry["file"]),
+        bool(entry["used"]),
+        str(entry["why"]),
+        array("crossings_px"),
+        array("H"),
+        number("gain"),
+        number("offset"),
+        number("rms"),
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Nested value with plain Python types; NaN and infinity become None: JSON has neither."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value
+
+
+def _is_ours(path: PurePath) -> bool:
+    """Whether a path inside a result folder is one that `write_result` writes."""
+    name, *rest = path.parts
+    if not rest:
+        return name in (RESULT_JSON, *RESULT_FILES, CELLS_FOLDER)
+    return name == CELLS_FOLDER and _TILE_NAME.fullmatch("/".join(rest)) is not None
+
+
+@contextmanager
+def _damaged(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file raises into one sentence."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InspectionError(
+            f"{path} is missing, so that the result is not whole: run the inspection again."
+        ) from None
+    except Exception as error:  # what the decoders of damaged files raise is not documented
+        detail = f"no entry {error}" if isinstance(error, KeyError) else str(error)
+        raise InspectionError(
+            f"{path} is damaged or of another version ({detail}): run the inspection again."
+        ) from None

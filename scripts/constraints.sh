@@ -1,0 +1,21 @@
+#!/bin/sh
+# Writes constraints.txt: the newest versions that work together, found in a clean environment.
+set -eu
+cd "$(dirname "$0")/.."
+
+# The oldest supported Python decides: what still works there exists for the newer ones too.
+python=${PYTHON:-python3.11}
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+
+"$python" -m venv "$folder/venv"
+"$folder/venv/bin/python" -m pip install --quiet --upgrade pip
+"$folder/venv/bin/python" -m pip install --quiet hatchling editables
+"$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,dev]"
+{
+    echo "# Exact versions of everything that 'make demo' and 'make test' install: the extras gui and"
+    echo "# dev, and the build tools. For Python 3.11 to 3.13. Written by scripts/constraints.sh; do not"
+    echo "# edit by hand."
+    "$folder/venv/bin/python" -m pip freeze --exclude-editable --exclude pip --exclude setuptools
+} >"$folder/constraints.txt"
+cp "$folder/constraints.txt" constraints.txt

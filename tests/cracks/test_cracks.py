@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from pv_inspect.cells import cut_cells
+from pv_inspect.cracks import read_cracks
+from pv_inspect.settings import Settings
+from tests.handmade import made_reconstruction
+
+T = TypeVar("T")
+
+
+class BelowLevel:
+    """A detector for tests: what is dark is crack."""
+
+    name = "below level"
+
+    def probability(self, tile: np.ndarray) -> np.ndarray:
+        return (tile < 0.3).astype(np.float32) * 2  # beyond 1 on purpose
+
+
+def drained(work: Generator[float, None, T]) -> tuple[list[float], T]:
+    fractions = []
+    while True:
+        try:
+            fractions.append(next(work))
+        except StopIteration as end:
+            return fractions, end.value
+
+
+def test_any_detector_fills_the_map_and_the_features() -> None:
+    reconstruction = made_reconstruction()
+    tiles = cut_cells(reconstruction)
+    fractions, found = drained(read_cracks(tiles, Settings(), BelowLevel()))
+    assert fractions == pytest.approx(np.arange(1, 7) / 6)
+    assert found.detector == "below level"
+    assert found.probability.shape == reconstruction.image.shape
+    np.testing.assert_array_equal(found.probability > 0, reconstruction.image < 0.3)
+    assert found.probability.max() == 1
+    assert [(c.row, c.col) for c in found.cells] == [(i, j) for i in (0, 1) for j in (0, 1, 2)]
+    assert [c.crack_instances for c in found.cells] == [0, 1, 0, 0, 0, 0]
+    # the line in handmade.py goes from (10, 10) to (70, 50) in a cell of 80 pixels
+    assert found.cells[1].crack_length_cells == pytest.approx(np.hypot(60, 40) / 80, abs=0.03)
+
+
+def test_the_classical_detector_is_the_default() -> None:
+    tiles = cut_cells(made_reconstruction())
+    _, found = drained(read_cracks(tiles, Settings()))
+    assert found.detector == "oriented ridge filters"
+    assert max(found.cells, key=lambda c: c.crack_score).col == 1

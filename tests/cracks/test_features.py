@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pv_inspect.cracks.features import CellFeatures, measure_cell, skeleton_length
+
+SIDE = 200
+
+
+def drawn(*lines: tuple[tuple[int, int], tuple[int, int]], width: int = 3) -> np.ndarray:
+    mask = np.zeros((SIDE, SIDE), np.uint8)
+    for a, b in lines:
+        cv2.line(mask, a, b, 1, width)
+    return mask > 0
+
+
+def measured(mask: np.ndarray, tile: np.ndarray | None = None, level: float = 0.9) -> CellFeatures:
+    tile = np.full(mask.shape, 0.5, np.float32) if tile is None else tile
+    probability = mask.astype(np.float32) * np.float32(level)
+    return measure_cell(
+        tile, probability, 0.5, row=1, col=2, cell_width_px=SIDE, usual_intensity=0.5
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(angle=st.floats(0, 180), width=st.integers(1, 5))
+def test_the_length_of_a_line_does_not_depend_on_its_direction(angle: float, width: int) -> None:
+    half = 70 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    a, b = np.round(100 - half).astype(int), np.round(100 + half).astype(int)
+    length = skeleton_length(drawn((tuple(a), tuple(b)), width=width))
+    # thinning takes up to half of the line's width from either end
+    assert length == pytest.approx(np.hypot(*(b - a)), abs=2.5 + width)
+
+
+def test_the_length_of_a_ring_is_its_circumference() -> None:
+    mask = np.zeros((SIDE, SIDE), np.uint8)
+    cv2.circle(mask, (100, 100), 60, 1, 3)
+    assert skeleton_length(mask > 0) == pytest.approx(2 * np.pi * 60, rel=0.03)
+
+
+def test_branches_count_once_each() -> None:
+    mask = drawn(((20, 100), (180, 100)), ((100, 100), (100, 20)))
+    assert skeleton_length(mask) == pytest.approx(160 + 80, abs=6)
+
+
+def test_nothing_and_a_single_pixel_have_no_length() -> None:
+    mask = np.zeros((20, 20), bool)
+    assert skeleton_length(mask) == 0
+    mask[10, 10] = True
+    assert skeleton_length(mask) == 0
+
+
+def test_separate_marks_are_instances_and_specks_are_none() -> None:
+    mask = drawn(((20, 20), (120, 20)), ((20, 100), (20, 180)))
+    mask[150:153, 150:153] = True
+    features = measured(mask)
+    assert features.crack_instances == 2
+    assert features.crack_length_cells == pytest.approx(180 / SIDE, abs=0.03)
+    assert (features.row, features.col) == (1, 2)
+
+
+def test_the_score_is_the_probability_of_a_crack_that_is_long_enough() -> None:
+    assert measured(drawn(((20, 20), (180, 180)))).crack_score == pytest.approx(0.9)
+    assert measured(drawn(((20, 20), (180, 180))), level=0.3).crack_score == pytest.approx(0.3)
+    assert measured(np.zeros((SIDE, SIDE), bool)).crack_score == 0
+    speck = np.zeros((SIDE, SIDE), bool)
+    speck[90:94, 90:94] = True
+    assert 0 < measured(speck).crack_score < 0.5
+
+
+def test_dark_area_is_the_share_of_broad_dark_regions_only() -> None:
+    tile = np.full((SIDE, SIDE), 0.5, np.float32)
+    tile[50:90, 60:100] = 0.1  # 40 x 40 px, inactive
+    tile[140:143] = 0.1  # a busbar
+    tile[:3] = tile[-3:] = 0.0  # the gap between cells
+    inside = (SIDE - 2 * 8) ** 2
+    share = measured(np.zeros((SIDE, SIDE), bool), tile).dark_area_share
+    assert share == pytest.approx(1600 / inside, rel=0.05)
+
+
+def test_a_dead_cell_is_dark_against_the_module_not_against_itself() -> None:
+    features = measured(np.zeros((SIDE, SIDE), bool), np.full((SIDE, SIDE), 0.05, np.float32))
+    assert features.dark_area_share == 1.0
+    assert features.mean_intensity == pytest.approx(0.05)

@@ -1,0 +1,111 @@
+"""An inspection made by hand: everything in it is known, nothing has to be computed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pv_inspect.calibration import Calibration
+from pv_inspect.camera import Camera
+from pv_inspect.cells import cut_cells
+from pv_inspect.cracks import CrackMap, measure_cell
+from pv_inspect.detection import Crossings, FrameCrossings
+from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.pipeline import Inspection
+from pv_inspect.reconstruction import Reconstruction
+from pv_inspect.registration import Registration
+from pv_inspect.settings import Settings
+
+LAYOUT = ModuleLayout(2, 3)
+REASON = "no module of 2 x 3 cells <b>found</b>"
+
+
+@dataclass(frozen=True, eq=False)
+class FakeSequence:
+    """What of a Sequence the stages after the registration ask for."""
+
+    names: tuple[str, ...] = ("frame_0.tif", "frame_1 & <i>.tif", "frame_2.tif")
+    shape: tuple[int, int] = (60, 80)
+    source: Path = Path("somewhere/module <7>")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def layout(self, settings: Settings) -> ModuleLayout:
+        return replace(LAYOUT, rows=settings.rows or LAYOUT.rows)
+
+
+def made_crossings(n_frames: int = 3) -> Crossings:
+    points = LAYOUT.crossings() * 20 + 10
+    good = FrameCrossings(points, np.full(len(points), 0.1), np.ones(len(points), bool), "")
+    return Crossings(LAYOUT, (good,) * n_frames)
+
+
+def made_calibration(n_frames: int = 3) -> Calibration:
+    registration = made_registration(n_frames)
+    numbers: dict[str, Any] = {"focal_convention": True, "kappa_std": 0.01}
+    return Calibration(
+        LAYOUT,
+        registration.camera,
+        registration.homographies,
+        np.ones(n_frames, bool),
+        ("",) * n_frames,
+        np.full(n_frames, 0.1),
+        **numbers,
+    )
+
+
+def made_registration(n_frames: int = 3) -> Registration:
+    camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), -0.1)
+    pose = np.array([[0.2, 0, -0.3], [0, 0.2, -0.2], [0, 0, 1]])
+    used = np.arange(n_frames) != 1
+    return Registration(
+        LAYOUT,
+        camera,
+        np.stack([pose] * n_frames),
+        used,
+        tuple("" if ok else REASON for ok in used),
+        np.linspace(0.9, 1.1, n_frames),
+        np.linspace(0, 0.01, n_frames),
+        np.where(used, 1.25, np.nan),
+    )
+
+
+def made_reconstruction() -> Reconstruction:
+    grid = HrGrid.covering(LAYOUT, 20.0, 4.0)
+    image = np.full(grid.shape, 0.4, np.float32)
+    y, x = grid.cell_slices(0, 1)
+    cv2.line(image, (x.start + 10, y.start + 10), (x.start + 70, y.start + 50), 0.1, 2)
+    support = np.linspace(0, 1, image.size, dtype=np.float32).reshape(image.shape)
+    return Reconstruction(image, support, grid, 0.05, 0.4, (2.0, 1.0), True)
+
+
+def made_inspection(**changes: Any) -> Inspection:
+    """Complete: 2 x 3 cells, a crack in row 1, column 2, and 3 frames of which one is rejected."""
+    reconstruction = made_reconstruction()
+    tiles = cut_cells(reconstruction)
+    maps = (tiles.images < 0.3).astype(np.float32) * 0.9
+    cells = tuple(
+        measure_cell(
+            tiles.images[i, j], maps[i, j], 0.5, row=i, col=j, cell_width_px=80, usual_intensity=0.4
+        )
+        for i, j in np.ndindex(2, 3)
+    )
+    inspection = Inspection(
+        FakeSequence(),  # type: ignore[arg-type]
+        Settings(),
+        LAYOUT,
+        made_crossings(),
+        made_calibration(),
+        made_registration(),
+        reconstruction,
+        tiles,
+        CrackMap(tiles.assemble(maps), 0.5, "by hand", cells),
+        {"load": 0.1, "detect": 1.0, "reconstruct": 2.0},
+        (f"frame_1 & <i>.tif is not used: {REASON}.",),
+    )
+    return replace(inspection, **changes)

@@ -1,0 +1,144 @@
+"""What the tests of the workbench share: a tiny module, a viewer without OpenGL, real windows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from pathlib import Path
+from time import sleep
+from typing import Any
+
+import numpy as np
+import pytest
+
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
+
+from napari_pv_inspect.application import build  # noqa: E402 (Qt reads the platform on import)
+from napari_pv_inspect.docks.cells import CellsDock  # noqa: E402
+from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
+from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end  # noqa: E402
+from pv_inspect.sequence import Sequence  # noqa: E402
+from pv_inspect.settings import Settings, Stage  # noqa: E402
+from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what needs a real window when there is none."""
+    skip = pytest.mark.skip(reason="needs a real window: run under Xvfb with QT_QPA_PLATFORM=xcb")
+    for item in items:
+        if item.get_closest_marker("xvfb") and not REAL_WINDOW:
+            item.add_marker(skip)
+
+
+@pytest.fixture(autouse=True)
+def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tell napari what OpenGL would: on the offscreen platform there is none to ask."""
+    if REAL_WINDOW:
+        return
+    from napari._vispy import canvas
+    from napari._vispy.layers import image, labels
+    from napari._vispy.utils import gl
+
+    for module in (gl, image):
+        monkeypatch.setattr(module, "get_gl_extensions", lambda: "")
+    for module in (gl, image, labels, canvas):
+        monkeypatch.setattr(module, "get_max_texture_sizes", lambda: (16384, 2048))
+
+
+@pytest.fixture(scope="session")
+def tiny_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five frames 240 x 180 of a module of 3 x 4 cells."""
+    settings = SimulationSettings(
+        rows=3, cols=4, n_frames=5, width=240, height=180, pixels_per_unit=96, supersampling=3
+    )
+    folder = tmp_path_factory.mktemp("tiny") / "module"
+    write_sequence(simulated(settings), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tiny_sequence(tiny_folder: Path) -> Sequence:
+    """Return the tiny module, opened."""
+    return Sequence.open(tiny_folder)
+
+
+@pytest.fixture(scope="session")
+def tiny_settings(tiny_sequence: Sequence) -> Settings:
+    """Settings that the workbench has after opening the tiny module, made quick."""
+    hint = tiny_sequence.layout_hint
+    return Settings(
+        rows=hint["rows"],
+        cols=hint["cols"],
+        cell_aspect=hint.get("cell_aspect"),
+        magnification=2.0,
+        max_iterations=5,
+    )
+
+
+@pytest.fixture(scope="session")
+def tiny_inspection(tiny_sequence: Sequence, tiny_settings: Settings) -> Inspection:
+    """Return a whole inspection of the tiny module."""
+    return run_to_end(inspect(tiny_sequence, tiny_settings))
+
+
+@pytest.fixture
+def bench(
+    make_napari_viewer: Callable[..., Any], tiny_sequence: Sequence, tiny_settings: Settings
+) -> tuple[Any, InspectDock, CellsDock]:
+    """Viewer and docks with the tiny module open."""
+    viewer = make_napari_viewer()
+    dock, cells = build(viewer)
+    dock.bench.model.open(tiny_sequence)
+    dock.bench.model.change_settings(magnification=2.0, max_iterations=5)
+    return viewer, dock, cells
+
+
+@pytest.fixture
+def replayed(monkeypatch: pytest.MonkeyPatch, tiny_inspection: Inspection) -> Generator[Replay]:
+    """Replace the pipeline by a replay of the tiny inspection that goes on when it is let."""
+    replay = Replay(tiny_inspection)
+    monkeypatch.setattr("pv_inspect.pipeline.inspect", replay.inspect)
+    yield replay
+    replay.go_on = True
+
+
+class Replay:
+    """The steps of a finished inspection, without the work; holds before the last step."""
+
+    def __init__(self, inspection: Inspection) -> None:
+        self.inspection = inspection
+        self.go_on = True
+        self.error: Exception | None = None
+        self.closed = 0
+        self.starts: list[Inspection | None] = []
+
+    def inspect(
+        self, _: Sequence, settings: Settings, start: Inspection | None = None
+    ) -> Generator[Step, None, Inspection]:
+        """Replay; same signature as `pipeline.inspect`."""
+        self.starts.append(start)
+        whole = self.inspection
+        parts = {
+            Stage.DETECT: whole.crossings,
+            Stage.CALIBRATE: whole.calibration,
+            Stage.REGISTER: whole.registration,
+        }
+        try:
+            for stage, part in parts.items():
+                yield Step(stage, stage.index / 10, f"{stage} done", part)
+            assert whole.reconstruction is not None
+            blurred = np.asarray(whole.reconstruction.image[::2, ::2])
+            yield Step(Stage.RECONSTRUCT, 0.6, "iteration 1", blurred)
+            if self.error is not None:
+                raise self.error
+            while not self.go_on:
+                sleep(0.01)
+                yield Step(Stage.RECONSTRUCT, 0.7, "iterating")
+            yield Step(Stage.RECONSTRUCT, 0.8, "done", whole.reconstruction)
+            yield Step(Stage.CELLS, 0.9, "done", whole.tiles)
+            yield Step(Stage.CRACKS, 1.0, "done", whole.cracks)
+            return replace(whole, settings=settings)
+        finally:
+            self.closed += 1

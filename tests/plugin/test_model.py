@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from napari_pv_inspect.model import RunState, WorkbenchModel, best_start
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection, Step
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings, Stage
+
+
+@pytest.fixture
+def model(tiny_sequence: Sequence) -> WorkbenchModel:
+    model = WorkbenchModel()
+    model.open(tiny_sequence)
+    model.change_settings(magnification=2.0, max_iterations=5)
+    return model
+
+
+def test_rows_and_columns_come_from_the_sidecar(model: WorkbenchModel) -> None:
+    assert (model.settings.rows, model.settings.cols) == (3, 4)
+
+
+def test_a_value_out_of_range_is_a_notice_and_changes_nothing(model: WorkbenchModel) -> None:
+    notices: list[tuple[str, bool]] = []
+    model.noticed.connect(lambda text, is_error: notices.append((text, is_error)))
+    before = model.settings
+    model.change_settings(magnification=17.0)
+    assert model.settings == before
+    assert notices[0][1]
+    assert "magnification" in notices[0][0]
+
+
+def test_a_run_needs_a_sequence_and_only_one_runs_at_a_time(model: WorkbenchModel) -> None:
+    with pytest.raises(InspectionError, match="open a folder"):
+        WorkbenchModel().begin_run()
+    model.begin_run()
+    with pytest.raises(InspectionError, match="under way"):
+        model.begin_run()
+
+
+def test_unknown_rows_keep_a_run_from_starting_and_leave_the_model_idle(
+    tiny_sequence: Sequence,
+) -> None:
+    model = WorkbenchModel()
+    model.open(replace(tiny_sequence, layout_hint={}))
+    with pytest.raises(InspectionError, match="rows and cols"):
+        model.begin_run()
+    assert model.run_state is RunState.IDLE
+
+
+def test_a_cancelled_first_run_keeps_what_it_found(
+    model: WorkbenchModel, tiny_inspection: Inspection
+) -> None:
+    model.begin_run()
+    model.absorb(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
+    model.end_run(None, keep_draft=False)
+    assert model.inspection is not None
+    assert model.inspection.crossings is tiny_inspection.crossings
+    assert Stage.DETECT not in model.to_do
+
+
+def test_a_cancelled_rerun_keeps_the_last_whole_result_and_resumes_from_the_draft(
+    model: WorkbenchModel, tiny_inspection: Inspection
+) -> None:
+    model.begin_run()
+    model.end_run(tiny_inspection, keep_draft=False)
+    model.change_settings(kappa=-0.25)
+    assert model.begin_run() is tiny_inspection
+    model.absorb(Step(Stage.CALIBRATE, 0.2, "", tiny_inspection.calibration))
+    model.end_run(None, keep_draft=False)
+    assert model.inspection is tiny_inspection
+    resumed = model.begin_run()
+    assert resumed is not None
+    assert Stage.CALIBRATE not in resumed.stale(model.settings)
+
+
+def test_settings_changed_during_a_run_do_not_relabel_its_parts(
+    model: WorkbenchModel, tiny_inspection: Inspection
+) -> None:
+    model.begin_run()
+    model.change_settings(kappa=0.3)
+    model.absorb(Step(Stage.CALIBRATE, 0.2, "", tiny_inspection.calibration))
+    assert model.draft is not None
+    assert model.draft.settings.kappa is None
+
+
+def test_a_preview_is_told_but_is_no_part(model: WorkbenchModel) -> None:
+    previews: list[object] = []
+    model.preview_changed.connect(previews.append)
+    model.begin_run()
+    image = np.zeros((4, 4), np.float32)
+    model.absorb(Step(Stage.RECONSTRUCT, 0.5, "", image))
+    assert previews == [image]
+    assert model.draft is not None
+    assert model.draft.reconstruction is None
+
+
+def test_the_start_with_the_fewest_stages_left_is_the_best(tiny_inspection: Inspection) -> None:
+    settings = tiny_inspection.settings
+    partial = tiny_inspection.with_part(tiny_inspection.calibration)  # type: ignore[arg-type]
+    assert best_start(settings, partial, tiny_inspection) is tiny_inspection
+    assert best_start(settings, None) is None
+    assert best_start(Settings(), None, partial) is partial

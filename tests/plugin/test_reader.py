@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dask.array as da
+import numpy as np
+import pytest
+import tifffile
+from npe2 import PluginManifest
+
+import napari_pv_inspect
+from napari_pv_inspect.reader import get_reader, read_result, read_sequence
+from napari_pv_inspect.sources import RESULT_KEY, SEQUENCE_KEY
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import write_result
+from pv_inspect.sequence import Sequence
+
+MANIFEST = Path(napari_pv_inspect.__file__).parent / "napari.yaml"
+
+
+@pytest.fixture(scope="module")
+def result_folder(tiny_inspection: Inspection, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("result") / "out"
+    write_result(tiny_inspection, folder)
+    return folder
+
+
+def test_every_command_of_the_manifest_leads_somewhere() -> None:
+    manifest = PluginManifest.from_file(MANIFEST)
+    manifest.validate_imports()
+    contributions = manifest.contributions
+    assert contributions.readers
+    assert contributions.sample_data
+    assert contributions.widgets
+
+
+def test_package_and_reader_import_nothing_heavy() -> None:
+    code = (
+        "import sys, napari_pv_inspect, napari_pv_inspect.reader, napari_pv_inspect.sample\n"
+        "heavy = {'numpy', 'scipy', 'cv2', 'napari', 'qtpy', 'dask', 'numba', 'pv_inspect'}\n"
+        "sys.exit(' '.join(heavy & set(sys.modules)) or 0)"
+    )
+
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_frames_become_one_lazy_stack_that_carries_the_sequence(tiny_folder: Path) -> None:
+    reader = get_reader(str(tiny_folder))
+    assert reader is read_sequence
+    ((data, attributes, kind),) = reader(str(tiny_folder))
+    assert isinstance(data, da.Array)
+    assert data.shape == (5, 180, 240)
+    assert kind == "image"
+    sequence = attributes["metadata"][SEQUENCE_KEY]
+    assert isinstance(sequence, Sequence)
+    np.testing.assert_array_equal(data[3].compute(), sequence.frame(3).image)
+
+
+def test_a_multi_page_tiff_and_a_list_of_frames_are_sequences(
+    tiny_folder: Path, tiny_sequence: Sequence, tmp_path: Path
+) -> None:
+    stack = tmp_path / "stack.tif"
+    tifffile.imwrite(
+        stack, np.stack([tiny_sequence.raw(i) for i in range(3)]), photometric="minisblack"
+    )
+    files = [str(p) for p in sorted((tiny_folder / "frames").iterdir())]
+    for path, count in ((str(stack), 3), (files, 5)):
+        reader = get_reader(path)
+        assert reader is not None
+        assert reader(path)[0][0].shape[0] == count
+
+
+def test_a_result_folder_becomes_module_image_support_and_cracks(
+    result_folder: Path, tiny_inspection: Inspection
+) -> None:
+    reader = get_reader(str(result_folder))
+    assert reader is read_result
+    layers = reader(str(result_folder))
+    assert [attributes["name"] for _, attributes, _ in layers] == [
+        "Module image",
+        "Support",
+        "Cracks",
+    ]
+    assert tiny_inspection.reconstruction is not None
+    np.testing.assert_array_equal(layers[0][0], tiny_inspection.reconstruction.image)
+    assert RESULT_KEY in layers[0][1]["metadata"]
+
+
+def test_other_paths_are_left_to_other_readers(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("x")
+    assert get_reader(str(tmp_path)) is None
+    assert get_reader(str(tmp_path / "notes.txt")) is None
+    assert get_reader([]) is None
+    assert get_reader(str(tmp_path / "nowhere")) is None
+
+
+def test_a_broken_sequence_is_one_sentence_and_no_layer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "frame_0.tif").write_bytes(b"this is no TIFF")
+    sentences: list[str] = []
+    monkeypatch.setattr("napari.utils.notifications.show_error", sentences.append)
+    assert read_sequence(str(tmp_path)) == [(None,)]
+    assert len(sentences) == 1
+    assert "frame_0.tif" in sentences[0]
+
+
+def test_a_result_is_shown_with_its_cells(
+    make_napari_viewer: Callable[..., Any], result_folder: Path
+) -> None:
+    from napari_pv_inspect.application import build, load
+
+    viewer = make_napari_viewer()
+    dock, cells = build(viewer)
+    load(viewer, dock, result_folder)
+    assert [layer.name for layer in viewer.layers] == ["Module image", "Support", "Cracks"]
+    assert cells.cells.rowCount() == 12
+    cells.view.setCurrentIndex(cells.cells.index(0))
+    corners = dock.bench.model.result.grid.to_pixels(np.array([[0.0, 0.0], [1.0, 1.0]]))
+    _, row, col = viewer.scene.camera.center
+    assert (col, row) == pytest.approx(tuple(corners.mean(axis=0)), abs=1.0)

@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Generator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pv_inspect import pipeline
+from pv_inspect.cells import cut_cells
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
+from pv_inspect.reconstruction import Progress
+from pv_inspect.settings import Settings, Stage
+from tests.handmade import (
+    REASON,
+    FakeSequence,
+    made_calibration,
+    made_crossings,
+    made_inspection,
+    made_reconstruction,
+    made_registration,
+)
+
+SEQUENCE: Any = FakeSequence()
+
+
+class Stages:
+    """Fakes of the stages; remembers which ran and which were closed early."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.ran: list[str] = []
+        self.closed: list[str] = []
+        self.crossings: Any = made_crossings()
+        self.registration: Any = made_registration()
+        for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
+            monkeypatch.setattr(pipeline, name, getattr(self, name))
+
+    def fractions(self, name: str, result: Any) -> Generator[Any, None, Any]:
+        self.ran.append(name)
+        try:
+            yield 0.5
+            yield 1.0
+        except GeneratorExit:
+            self.closed.append(name)
+            raise
+        return result
+
+    def detect(self, *_: Any) -> Generator[float, None, Any]:
+        return self.fractions("detect", self.crossings)
+
+    def calibrate(self, *_: Any) -> Any:
+        self.ran.append("calibrate")
+        return made_calibration(len(self.crossings.frames))
+
+    def register(self, *_: Any) -> Generator[float, None, Any]:
+        return self.fractions("register", self.registration)
+
+    def reconstruct(self, *_: Any) -> Generator[Progress, None, Any]:
+        self.ran.append("reconstruct")
+        image = np.zeros((2, 2), np.float32)
+        try:
+            yield Progress(0.5, "iteration 3 of 60", image)
+        except GeneratorExit:
+            self.closed.append("reconstruct")
+            raise
+        return made_reconstruction()
+
+    def cut_cells(self, reconstruction: Any) -> Any:
+        self.ran.append("cells")
+        return cut_cells(reconstruction)
+
+    def read_cracks(self, *_: Any) -> Generator[float, None, Any]:
+        return self.fractions("cracks", made_inspection().cracks)
+
+
+@pytest.fixture
+def stages(monkeypatch: pytest.MonkeyPatch) -> Stages:
+    return Stages(monkeypatch)
+
+
+ALL = ["detect", "calibrate", "register", "reconstruct", "cells", "cracks"]
+
+
+def test_a_run_passes_all_stages_and_is_complete(stages: Stages) -> None:
+    steps = list(inspect(SEQUENCE))
+    assert stages.ran == ALL
+    parts = {s.stage: s.partial for s in steps if s.fraction and s.partial is not None}
+    assert [type(p).__name__ for p in parts.values()] == [
+        "Crossings",
+        "Calibration",
+        "Registration",
+        "Reconstruction",
+        "CellTiles",
+        "CrackMap",
+    ]
+    assert run_to_end(inspect(SEQUENCE)).complete
+
+
+def test_the_fraction_never_falls_and_ends_at_one(stages: Stages) -> None:
+    fractions = [step.fraction for step in inspect(SEQUENCE)]
+    assert fractions[0] == 0.0
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == pytest.approx(1.0)
+
+
+def test_previews_of_the_reconstruction_come_through(stages: Stages) -> None:
+    previews = [s for s in inspect(SEQUENCE) if isinstance(s.partial, np.ndarray)]
+    assert [(s.stage, s.message) for s in previews] == [(Stage.RECONSTRUCT, "iteration 3 of 60")]
+
+
+def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
+    stages: Stages,
+) -> None:
+    steps = inspect(SEQUENCE)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            seconds = end.value.seconds
+            break
+        time.sleep(0.02)
+    assert set(seconds) == {stage.value for stage in Stage}
+    # about a dozen steps of 0.02 s were held; the fakes themselves take next to nothing
+    assert sum(seconds.values()) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "again"),
+    [
+        ({"prior_weight": 0.2}, ["reconstruct", "cells", "cracks"]),
+        ({"crack_threshold": 0.3}, ["cracks"]),
+        ({"kappa": -0.1}, ALL[1:]),
+        ({}, []),
+    ],
+)
+def test_only_what_a_changed_setting_makes_stale_runs_again(
+    stages: Stages, change: dict[str, Any], again: list[str]
+) -> None:
+    first = run_to_end(inspect(SEQUENCE))
+    stages.ran.clear()
+    settings = Settings.create(**change)
+    assert [s.value for s in Stage if s in first.stale(settings)] == again
+    steps = inspect(SEQUENCE, settings, first)
+    fractions = [step.fraction for step in steps]
+    second = run_to_end(inspect(SEQUENCE, settings, first))
+    assert stages.ran == again * 2
+    assert second.settings == settings
+    assert second.complete
+    assert fractions[-1] == pytest.approx(1.0) or not again
+    assert set(second.seconds) == {stage.value for stage in Stage}
+
+
+def test_another_sequence_starts_afresh(stages: Stages) -> None:
+    first = run_to_end(inspect(SEQUENCE))
+    stages.ran.clear()
+    run_to_end(inspect(FakeSequence(), start=first))  # type: ignore[arg-type]
+    assert stages.ran == ALL
+
+
+def test_what_a_cancelled_run_has_made_can_be_built_upon(stages: Stages) -> None:
+    kept = Inspection(SEQUENCE, Settings(), SEQUENCE.layout(Settings()))
+    steps = inspect(SEQUENCE)
+    for step in steps:
+        if step.partial is not None:
+            kept = kept.with_part(step.partial)  # type: ignore[arg-type]
+        if step.stage is Stage.REGISTER and step.partial is not None:
+            break
+    steps.close()
+    stages.ran.clear()
+    assert run_to_end(inspect(SEQUENCE, start=kept)).complete
+    assert stages.ran == ["reconstruct", "cells", "cracks"]
+
+
+def test_a_moved_crossing_point_makes_everything_after_the_detection_run_again(
+    stages: Stages,
+) -> None:
+    moved = run_to_end(inspect(SEQUENCE)).with_part(made_crossings())
+    assert moved.registration is None
+    assert moved.cracks is None
+    stages.ran.clear()
+    run_to_end(inspect(SEQUENCE, start=moved))
+    assert stages.ran == ALL[1:]
+
+
+@pytest.mark.parametrize("stage", ["detect", "register", "reconstruct", "cracks"])
+def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) -> None:
+    steps = inspect(SEQUENCE)
+    for step in steps:
+        if step.stage == stage and stage in stages.ran:
+            break
+    steps.close()
+    assert stages.closed == [stage]
+
+
+def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
+    result = run_to_end(inspect(SEQUENCE))
+    assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
+
+
+def test_one_frame_works_and_is_called_no_super_resolution(stages: Stages) -> None:
+    stages.crossings, stages.registration = made_crossings(1), made_registration(1)
+    result = run_to_end(inspect(FakeSequence(("one.tif",))))  # type: ignore[arg-type]
+    assert result.warnings == (
+        "1 frame: the result is a rectified single frame, not a super-resolution.",
+    )
+
+
+def test_no_usable_frame_is_one_sentence(stages: Stages) -> None:
+    frames = tuple(replace(f, why="too dark.") for f in made_crossings().frames)
+    stages.crossings = replace(made_crossings(), frames=frames)
+    with pytest.raises(InspectionError, match=r"any of the 3 frames \(frame_0.tif: too dark\)"):
+        run_to_end(inspect(SEQUENCE))
+    assert stages.ran == ["detect"]
+
+
+def test_steps_are_events_that_can_not_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        Step(Stage.LOAD, 0.0, "").fraction = 1.0  # type: ignore[misc]

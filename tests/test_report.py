@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.report import render_report
+from pv_inspect.settings import Settings
+from tests.handmade import made_inspection, made_reconstruction
+
+VOID = {"meta", "img", "input", "br"}
+
+
+class Reader(HTMLParser):
+    """Text, tags and addresses of a page; fails on tags that are not closed in order."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.text = ""
+        self.feed(page)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        found = dict(attrs)
+        self.addresses += [v for k, v in attrs if k in ("src", "href") and v]
+        self.ids += [found["id"]] if found.get("id") else []  # type: ignore[list-item]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, _: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text += data
+
+
+def test_the_page_needs_nothing_from_outside() -> None:
+    page = Reader(render_report(made_inspection()))
+    assert all(a.startswith(("data:image/", "#r")) for a in page.addresses)
+    assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.ids)
+
+
+def test_names_out_of_the_input_are_text_and_never_markup() -> None:
+    html = render_report(made_inspection())
+    assert "<b>found</b>" not in html
+    assert "<i>.tif" not in html
+    text = Reader(html).text
+    assert "no module of 2 x 3 cells <b>found</b>" in text
+    assert "module <7>" in text
+
+
+def test_the_page_says_what_an_expert_asks_first() -> None:
+    text = " ".join(Reader(render_report(made_inspection())).text.split())
+    assert "Cracks are suspected in 1 of 6 cells, most of all in row 1, column 2." in text
+    assert "made from 2 of 3 frames at 4.00× their resolution in 3.1 s" in text
+    for name in Settings.model_fields:
+        assert name in text
+
+
+def test_the_table_of_cells_starts_with_the_highest_score() -> None:
+    html = render_report(made_inspection())
+    table = html[html.index('<table id="cells">') :]
+    assert table.index('id="r1c2"') < table.index('id="r1c1"')
+
+
+def test_a_module_without_cracks_has_no_close_ups() -> None:
+    inspection = made_inspection()
+    assert inspection.cracks is not None
+    cells = tuple(replace(c, crack_instances=0) for c in inspection.cracks.cells)
+    text = Reader(
+        render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
+    )
+    assert "No cracks are suspected in any of the 6 cells." in " ".join(text.text.split())
+    assert "Cells to look at first" not in text.text
+
+
+def test_the_page_of_a_large_noisy_module_stays_below_5_megabytes() -> None:
+    inspection = made_inspection()
+    assert inspection.cracks is not None
+    small = made_reconstruction()
+    rng = np.random.default_rng(0)
+    noise = rng.random((1800, 3000), dtype=np.float32)
+    grid = replace(small.grid, shape=noise.shape)
+    large = replace(small, image=noise, support=noise, grid=grid)
+    cracks = replace(inspection.cracks, probability=noise)
+    html = render_report(replace(inspection, reconstruction=large, cracks=cracks))
+    assert len(html) < 5e6
+
+
+def test_an_incomplete_inspection_has_no_report() -> None:
+    with pytest.raises(InspectionError, match="not complete"):
+        render_report(made_inspection(registration=None))
