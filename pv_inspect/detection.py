@@ -202,7 +202,7 @@ def detect_on_module(module: NDArray[np.float32], grid: HrGrid) -> Array | None:
     """
     layout = grid.layout
     edges = cell_edges(layout)
-    to_pixels: Array = np.linalg.inv(grid.matrix)
+    to_pixels = np.asarray(np.linalg.inv(grid.matrix), np.float64)
     plane = Pose(Camera(np.eye(3), 0.0), to_pixels)
     offsets = measure_edges(
         module, edges, plane, SEARCH_UNITS[-1], grid.magnification, (SHARP_GAP,)

@@ -250,8 +250,8 @@ def _align(
             [0, 0, 1],
         ]
     )
-    unscale: Array = np.linalg.inv(scale)
-    to_grid: Array = np.linalg.inv(homography @ grid.matrix)
+    unscale = np.linalg.inv(scale)
+    to_grid = np.asarray(np.linalg.inv(homography @ grid.matrix), np.float64)
     rms = float("nan")
     for _ in range(plan.iterations):
         A, b, chi2, count = normal_equations(

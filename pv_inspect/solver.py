@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from pv_inspect.observation import NormalEquations
 from pv_inspect.prior import WeightedBtv
@@ -92,14 +93,19 @@ class Solution:
 
 
 def first_guess(equations: NormalEquations) -> Image:
-    """Weighted average of the LR pixels around every HR pixel; far from all of them, the median."""
+    """Weighted average of the LR pixels around every HR pixel; where there are none, the nearest.
+
+    Where no frame looks the prior alone decides, and it reaches only slowly what is right there.
+    """
     blur = equations.model.blur
     weight = blur.apply(equations.coverage)
     mean = blur.apply(equations.back_projection)
     known = weight > 1e-3 * float(weight.max())
     mean[known] /= weight[known]
-    mean[~known] = np.median(mean[known]) if known.any() else 0.0
-    return mean
+    if not known.any():
+        return np.zeros_like(mean)
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return np.asarray(mean[tuple(nearest)])
 
 
 def minimise(
