@@ -28,7 +28,7 @@ SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.1)
 """A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
 SEARCH_UNITS = 0.05
 MIN_GAPS = 24
-CENTRE_STD_PX = 2.0
+CENTRE_STD_PX = 1.0
 """How far the principal point may go from where the calibration put it."""
 
 
