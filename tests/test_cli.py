@@ -94,7 +94,8 @@ def test_every_setting_has_an_option_with_its_unit() -> None:
     for name in Settings.model_fields:
         described = Settings.model_fields[name].description or ""
         assert described.split(";")[0].split(":")[0][:30] in text
-    assert "[LR px]" in text
+    assert "[0.1 to 3 LR px]" in text
+    assert "default 0.7]" in text
 
 
 def test_version_and_help_answer() -> None:
@@ -103,9 +104,25 @@ def test_version_and_help_answer() -> None:
         assert called(command, "--help").exit_code == 0
 
 
-def test_wrong_usage_exits_with_2() -> None:
-    assert called("run").exit_code == 2
-    assert called("walk").exit_code == 2
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("run",), "SEQUENCE.*see pv-inspect run --help"),
+        (("run", "x"), "--out.*see pv-inspect run --help"),
+        (("run", "x", "--out", "y", "--rows", "six"), "--rows.*integer"),
+        (("run", "x", "--out", "y", "--nothing", 1), "--nothing"),
+        (("walk",), "walk.*see pv-inspect --help"),
+        (("--nothing",), "--nothing"),
+    ],
+)
+def test_wrong_usage_is_one_sentence_and_exits_with_2(
+    arguments: tuple[object, ...], said: str
+) -> None:
+    refused(called(*arguments), said, code=2)
+
+
+def test_without_arguments_the_help_is_shown() -> None:
+    assert "Commands:" in called().output
 
 
 def test_an_empty_folder_is_one_sentence(tmp_path: Path) -> None:

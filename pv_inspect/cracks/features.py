@@ -13,9 +13,11 @@ from skimage.morphology import thin
 __all__ = ["CellFeatures", "crack_marks", "measure_cell", "skeleton_length"]
 
 # A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
-# smallest rectangle in cell widths, and that side over the other one.
+# smallest rectangle in cell widths, and that side over the other one; a large mark may be a
+# crack that branches and need not be slender.
 MIN_EXTENT_CELLS = 0.15
 MIN_SLENDERNESS = 2.0
+_LARGE_EXTENT_CELLS = 0.25
 # A cell that is dark in at least this share has no current through it: what looks like a crack in
 # it is noise, or can't be told from noise.
 _DARK_CELL_SHARE = 0.5
@@ -91,8 +93,8 @@ def crack_marks(
     Returns
     -------
     list of (h, w) bool
-        8-connected; the smallest rectangle around each is at least 0.15 cell widths long and
-        twice as long as wide.
+        8-connected; the smallest rectangle around each is at least 0.15 cell widths long, and
+        twice as long as wide unless it is longer than 0.25.
     """
     mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
     n_labels, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -104,7 +106,9 @@ def crack_marks(
         pixels = np.argwhere(labels[y : y + height, x : x + width] == k).astype(np.float32)
         # The rectangle goes through the centres of pixels, which reach half a pixel further.
         short, long = sorted(side + 1 for side in cv2.minAreaRect(pixels)[1])
-        if long >= max(MIN_EXTENT_CELLS * cell_width_px, MIN_SLENDERNESS * short):
+        extent = long / cell_width_px
+        slender = long >= MIN_SLENDERNESS * short or extent >= _LARGE_EXTENT_CELLS
+        if extent >= MIN_EXTENT_CELLS and slender:
             marks.append(labels == k)
     return marks
 
