@@ -191,7 +191,9 @@ def _boxes(cells: tuple[CellFeatures, ...], grid: HrGrid, scale: float) -> list[
     for cell in cells:
         y, x = grid.cell_slices(cell.row, cell.col)
         width, height = scale * (x.stop - x.start), scale * (y.stop - y.start)
-        found.append(_Box(cell, scale * x.start, scale * y.start, width, height))
+        inset = 0.015 * min(width, height)  # frames of neighbours stay apart
+        left, top = scale * x.start + inset, scale * y.start + inset
+        found.append(_Box(cell, left, top, width - 2 * inset, height - 2 * inset))
     return found
 
 
