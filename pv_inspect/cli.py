@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -278,6 +280,13 @@ def gui(
                 f"The workbench needs napari and Qt, but {error.name or error} can't be loaded: "
                 'install them with  pip install "pv-inspect[gui]".'
             ) from None
+        wanted = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+        if sys.platform == "linux" and not any(os.environ.get(name) for name in wanted):
+            # Qt would abort the process.
+            raise InspectionError(
+                "The workbench needs a display and there is none: log in at a desktop, or "
+                "through ssh -X; `pv-inspect run` works without."
+            )
         launch(sequence)
 
 

@@ -3,8 +3,10 @@ from __future__ import annotations
 import errno
 import json
 import re
+import sys
 from collections.abc import Generator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -234,6 +236,14 @@ def test_gui_without_napari_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(cli, "import_module", missing)
     refused(called("gui"), r'napari can\'t be loaded: install them with +pip install "pv-inspect')
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_gui_without_a_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    refused(called("gui"), "needs a display")
 
 
 def test_gui_with_a_missing_sequence_is_one_sentence(tmp_path: Path) -> None:
