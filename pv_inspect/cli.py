@@ -78,8 +78,10 @@ def _option(setting: str, *names: str) -> Any:
     }
     low, high = limits.get("ge", limits.get("gt")), limits.get("le")
     range_text = "" if low is None or high is None else f" {low:g} to {high:g}"
-    default = "" if about.default is None else f", default {about.default:g}"
-    facts = f"{range_text}{unit_text}{default}".strip()
+    number = isinstance(about.default, int | float)
+    default = f"default {about.default:g}" if number else f"default {about.default}"
+    known = [f"{range_text}{unit_text}".strip(), default if about.default is not None else ""]
+    facts = ", ".join(fact for fact in known if fact)
     return typer.Option(*spelled, help=f"{about.description}{f' [{facts}]' if facts else ''}")
 
 

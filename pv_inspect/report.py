@@ -164,7 +164,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "cell_aspect": f"{layout.cell_aspect:g}",
         "dark_frame": "none",
         "kappa": f"{camera.kappa:+.4f}, fitted",
-        "focal_length_px": f"{camera.K[0, 0]:.0f}, by convention",
+        "focal_length_px": f"{camera.K[0, 0]:.0f}",
         "psf_sigma_lr_px": f"{reconstruction.psf_sigma_lr_px:.2f}, estimated",
     }
     rows = []
