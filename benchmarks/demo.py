@@ -127,7 +127,7 @@ def main() -> int:
     registration, cracks = inspection.registration, inspection.cracks
     assert registration is not None
     assert cracks is not None
-    suspected = sum(cell.crack_instances > 0 for cell in cracks.cells)
+    suspected = sum(cell.crack_suspected for cell in cracks.cells)
     print(f"frames    {registration.used.sum()} of {len(sequence)} used")
     print(f"cells     {len(cracks.cells)}, cracks suspected in {suspected}")
     if (options.sequence / "truth").is_dir():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +15,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from typer.core import TyperGroup
+from typer.exceptions import TyperException
 
 from pv_inspect import __version__
 from pv_inspect.errors import InspectionError
@@ -20,8 +24,34 @@ from pv_inspect.settings import Settings
 
 __all__ = ["app", "main"]
 
+
+class _Commands(TyperGroup):
+    """The commands; wrong usage is told in one sentence, like every other mistake."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if not args:  # this prints the help
+            return super().parse_args(ctx, args)
+        with _wrong_usage(ctx):
+            return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _wrong_usage(ctx):
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _wrong_usage(ctx: Any) -> Iterator[None]:
+    try:
+        yield
+    except TyperException as error:
+        said = " ".join(error.format_message().split()).rstrip(".")
+        words = [word for word in ("pv-inspect", ctx.invoked_subcommand, "--help") if word]
+        _fail(f"{said}; see {' '.join(words)}.", error.exit_code)
+
+
 app = typer.Typer(
     name="pv-inspect",
+    cls=_Commands,
     help=(
         "Turn a short sequence of coarse frames of a solar module into one straight, sharp image, "
         "cut it into cells and mark suspected cracks."
@@ -38,10 +68,21 @@ def _option(setting: str, *names: str) -> Any:
     about = Settings.model_fields[setting]
     long = f"--{setting.replace('_', '-')}"
     spelled = names if any(name.startswith("--") for name in names) else (long, *names)
-    default = "" if about.default is None else f" Default {about.default}."
     unit = Settings.unit_of(setting)
-    unit_text = "" if unit in ("1", "file") else f" [{unit}]"
-    return typer.Option(*spelled, help=f"{about.description}{unit_text}{default}")
+    unit_text = "" if unit in ("1", "file") else f" {unit}"
+    limits = {
+        name: getattr(limit, name)
+        for limit in about.metadata
+        for name in ("ge", "gt", "le")
+        if hasattr(limit, name)
+    }
+    low, high = limits.get("ge", limits.get("gt")), limits.get("le")
+    range_text = "" if low is None or high is None else f" {low:g} to {high:g}"
+    number = isinstance(about.default, int | float)
+    default = f"default {about.default:g}" if number else f"default {about.default}"
+    known = [f"{range_text}{unit_text}".strip(), default if about.default is not None else ""]
+    facts = ", ".join(fact for fact in known if fact)
+    return typer.Option(*spelled, help=f"{about.description}{f' [{facts}]' if facts else ''}")
 
 
 Debug = Annotated[
@@ -73,13 +114,20 @@ def _common(
     pass
 
 
-@app.command()
+_WORDS = (
+    "Frames are looked at in LR px (pixels of a frame), the module image in HR px, the module in "
+    "cell widths. What is not given is taken from module.json beside the frames or estimated."
+)
+
+
+@app.command(epilog=_WORDS)
 def run(
     sequence: Annotated[
         Path,
         typer.Argument(
             help="Folder of 8- or 16-bit TIFF or PNG frames (or one that has them in frames/), or "
             "a multi-page TIFF.",
+            metavar="SEQUENCE",
             show_default=False,
         ),
     ],
@@ -153,7 +201,10 @@ def run(
 @app.command()
 def simulate(
     out: Annotated[
-        Path, typer.Argument(help="Folder to make; must not hold anything.", show_default=False)
+        Path,
+        typer.Argument(
+            help="Folder to make; must not hold anything.", metavar="OUT", show_default=False
+        ),
     ],
     rows: Annotated[int, typer.Option(help="Rows of cells [cells].")] = 6,
     cols: Annotated[int, typer.Option(help="Columns of cells [cells].")] = 10,
@@ -172,7 +223,7 @@ def simulate(
             "--set",
             metavar="NAME=VALUE",
             help="Any other number of the simulation, for example --set psf_sigma_px=0.6; "
-            "--set help lists all with unit and range.",
+            "OUT --set help lists all with unit and range and writes nothing.",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -213,7 +264,9 @@ def simulate(
 def gui(
     sequence: Annotated[
         Path | None,
-        typer.Argument(help="Frames or a result folder to open.", show_default=False),
+        typer.Argument(
+            help="Frames or a result folder to open.", metavar="SEQUENCE", show_default=False
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
@@ -229,6 +282,13 @@ def gui(
                 f"The workbench needs napari and Qt, but {error.name or error} can't be loaded: "
                 'install them with  pip install "pv-inspect[gui]".'
             ) from None
+        wanted = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+        if sys.platform == "linux" and not any(os.environ.get(name) for name in wanted):
+            # Qt would abort the process.
+            raise InspectionError(
+                "The workbench needs a display and there is none: log in at a desktop, or "
+                "through ssh -X; `pv-inspect run` works without."
+            )
         launch(sequence)
 
 
@@ -277,7 +337,8 @@ def _summary(inspection: Any, out: Path, seconds: float) -> str:
         for name, ok, why in zip(inspection.sequence.names, used, registration.why, strict=True)
         if not ok
     ]
-    suspected = sum(cell.crack_instances > 0 for cell in cracks.cells)
+    suspected = sum(cell.crack_suspected for cell in cracks.cells)
+    dark = sum(cell.dark for cell in cracks.cells)
     rms = np.asarray(registration.rms, np.float64)[used]
     rms_text = f"{np.median(rms):.2f}" if np.isfinite(rms).any() else "not measured"
     height, width = inspection.reconstruction.image.shape
@@ -287,7 +348,8 @@ def _summary(inspection: Any, out: Path, seconds: float) -> str:
         *rejected,
         f"residual  {rms_text} (median over frames, units of the noise; 1 is ideal)",
         f"module    {width} x {height} px, {magnification:.2f}x",
-        f"cells     {len(cracks.cells)}, cracks suspected in {suspected}",
+        f"cells     {len(cracks.cells)}, cracks suspected in {suspected}"
+        + (f", {dark} dark and not judged" if dark else ""),
         *(f"warning   {text}" for text in inspection.warnings if "is not used" not in text),
         f"results   {out}",
         f"report    {out / 'report.html'}",

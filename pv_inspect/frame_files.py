@@ -69,7 +69,7 @@ def expand(path: Path) -> list[FrameFile]:
     Raises
     ------
     InspectionError
-        If the file can't be read as TIFF.
+        If the file can't be read as TIFF or holds no picture.
     """
     if path.suffix.lower() == ".png":
         return [FrameFile(path)]
@@ -78,6 +78,8 @@ def expand(path: Path) -> list[FrameFile]:
             pages = [k for k, page in enumerate(tif.pages) if not page.aspage().subfiletype & 1]
     except Exception as error:  # whatever a parser throws at a broken file
         raise _unreadable(path.name, error) from None
+    if not pages:
+        raise _unreadable(path.name, ValueError("there is no picture in it"))
     return [FrameFile(path, page, len(pages) == 1) for page in pages]
 
 

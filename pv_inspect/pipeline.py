@@ -351,7 +351,7 @@ def _ended(stage: Stage, state: Inspection) -> str:
         return f"module image of {width} x {height} pixels"
     if stage is Stage.CELLS:
         return f"{state.layout.rows * state.layout.cols} cells cut"
-    suspected = sum(cell.crack_instances > 0 for cell in _present(state.cracks).cells)
+    suspected = sum(cell.crack_suspected for cell in _present(state.cracks).cells)
     return f"cracks suspected in {suspected} of {state.layout.rows * state.layout.cols} cells"
 
 

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Column
 
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.settings import Stage
@@ -96,14 +97,16 @@ def _last(events: Generator[_Event, None, T]) -> T:
 
 
 def _with_bar(events: Generator[_Event, None, T], console: Console) -> T:
+    # In a narrow terminal the message gives way, not the bar or the time.
+    rest = Column(ratio=1, no_wrap=True, overflow="ellipsis")
     columns = (
-        TextColumn("{task.fields[stage]:<12}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}", markup=False),
+        TextColumn("{task.fields[stage]:<11}", markup=False, table_column=Column(min_width=11)),
+        BarColumn(bar_width=16, table_column=Column(min_width=16)),
+        TaskProgressColumn(table_column=Column(min_width=4)),
+        TimeElapsedColumn(table_column=Column(min_width=7)),
+        TextColumn("{task.description}", markup=False, table_column=rest),
     )
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, expand=True) as bar:
         task = bar.add_task("", total=1.0, stage="")
         while True:
             try:

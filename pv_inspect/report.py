@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
+from datetime import date
 from typing import Any
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
+from pv_inspect.cracks import CellFeatures, CrackMap, crack_marks
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.pipeline import Inspection
@@ -30,15 +32,13 @@ _CRACK_RGB = (213, 94, 0)
 
 @dataclass(frozen=True)
 class _Box:
-    """A cell on the module picture, in shares of its width and height."""
+    """A cell on the module picture, in its pixels."""
 
-    row: int
-    col: int
+    cell: CellFeatures
     x: float
     y: float
     width: float
     height: float
-    suspected: bool
 
 
 def render_report(inspection: Inspection) -> str:
@@ -83,18 +83,21 @@ def _content(inspection: Inspection) -> dict[str, Any]:
     grid, layout = reconstruction.grid, inspection.layout
     low, high = _contrast(reconstruction.image, grid)
     picture = _grey(_shrunk(reconstruction.image, _MODULE_PX), low, high)
-    worst = sorted(cracks.cells, key=lambda cell: (-cell.crack_score, cell.row, cell.col))
-    suspected = [cell for cell in worst if cell.crack_instances > 0]
+    worst = sorted(
+        cracks.cells,
+        key=lambda cell: (-cell.crack_length_cells, -cell.crack_score, cell.row, cell.col),
+    )
+    suspected = [cell for cell in worst if cell.crack_suspected]
+    marks = _marks(cracks, grid)
     close_ups = []
     for cell in suspected[:_N_CLOSE_UPS]:
         where = grid.cell_slices(cell.row, cell.col)
         crop = _shrunk(reconstruction.image[where], _CLOSE_UP_PX)
-        crack = _peaks(cracks.probability[where], _CLOSE_UP_PX)
         close_ups.append(
             {
                 "cell": cell,
                 "image": _jpeg(_grey(crop, low, high)),
-                "overlay": _overlay(crack, cracks.threshold),
+                "overlay": _overlay(cracks.probability[where], marks[where], _CLOSE_UP_PX),
             }
         )
     seconds = inspection.seconds
@@ -108,11 +111,13 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "n_used": int(registration.used.sum()),
         "rms_median": float(np.median(rms)) if rms.size else float("nan"),
         "suspected": suspected,
+        "dark": [cell for cell in cracks.cells if cell.dark],
+        "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,
         "module": _jpeg(picture),
-        "overlay": _overlay(_peaks(cracks.probability, _MODULE_PX), cracks.threshold),
-        "boxes": _boxes(grid, {(cell.row, cell.col) for cell in suspected}),
+        "overlay": _overlay(cracks.probability, marks, _MODULE_PX),
+        "boxes": _boxes(cracks.cells, grid, picture.shape[1] / grid.shape[1]),
         "picture_size": picture.shape[1::-1],
         "support": _jpeg(_grey(_shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
         "frames": _frame_rows(inspection),
@@ -120,7 +125,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "psf_sigma": reconstruction.psf_sigma_lr_px,
         "prior_weight": reconstruction.prior_weight,
         "cracks": cracks,
-        "settings": _setting_rows(inspection.settings),
+        "settings": _setting_rows(inspection),
         "seconds": seconds,
         "total_seconds": sum(seconds.values()),
         "versions": versions(),
@@ -147,30 +152,61 @@ def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
     ]
 
 
-def _setting_rows(settings: Settings) -> list[dict[str, str]]:
+def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
+    """Every setting with the value that was used; what the user left open was found otherwise."""
+    registration, reconstruction = inspection.registration, inspection.reconstruction
+    assert registration is not None
+    assert reconstruction is not None
+    layout, camera = inspection.layout, registration.camera
+    found = {
+        "rows": f"{layout.rows}, from module.json",
+        "cols": f"{layout.cols}, from module.json",
+        "cell_aspect": f"{layout.cell_aspect:g}",
+        "dark_frame": "none",
+        "kappa": f"{camera.kappa:+.4f}, fitted",
+        "focal_length_px": f"{camera.K[0, 0]:.0f}",
+        "psf_sigma_lr_px": f"{reconstruction.psf_sigma_lr_px:.2f}, estimated",
+    }
     rows = []
     for name, about in Settings.model_fields.items():
-        value = getattr(settings, name)
+        value = getattr(inspection.settings, name)
+        unit = Settings.unit_of(name)
         rows.append(
             {
                 "name": name,
-                "value": "not given" if value is None else str(value),
-                "unit": Settings.unit_of(name),
+                "value": found.get(name, "not given")
+                if value is None
+                else f"{value}, given"
+                if name in found
+                else str(value),
+                "unit": "" if unit in ("1", "file") else unit,
                 "description": about.description or "",
             }
         )
     return rows
 
 
-def _boxes(grid: HrGrid, suspected: set[tuple[int, int]]) -> list[_Box]:
-    height, width = grid.shape
+def _boxes(cells: tuple[CellFeatures, ...], grid: HrGrid, scale: float) -> list[_Box]:
     found = []
-    for row, col in np.ndindex(grid.layout.rows, grid.layout.cols):
-        y, x = grid.cell_slices(row, col)
-        share = (x.start / width, y.start / height)
-        size = ((x.stop - x.start) / width, (y.stop - y.start) / height)
-        found.append(_Box(row, col, *share, *size, (row, col) in suspected))
+    for cell in cells:
+        y, x = grid.cell_slices(cell.row, cell.col)
+        width, height = scale * (x.stop - x.start), scale * (y.stop - y.start)
+        inset = 0.015 * min(width, height)  # frames of neighbours stay apart
+        left, top = scale * x.start + inset, scale * y.start + inset
+        found.append(_Box(cell, left, top, width - 2 * inset, height - 2 * inset))
     return found
+
+
+def _marks(cracks: CrackMap, grid: HrGrid) -> NDArray[np.float32]:
+    """1 where a mark counts as suspected crack."""
+    marks = np.zeros(grid.shape, np.float32)
+    for cell in cracks.cells:
+        where = grid.cell_slices(cell.row, cell.col)
+        if cell.crack_suspected:
+            found = crack_marks(cracks.probability[where], cracks.threshold, grid.pixels_per_unit)
+            for mark in found:
+                marks[where][mark] = 1.0
+    return marks
 
 
 def _contrast(image: NDArray[np.float32], grid: HrGrid) -> tuple[float, float]:
@@ -203,10 +239,10 @@ def _grey(image: NDArray[np.float32], low: float, high: float) -> NDArray[np.uin
     return np.asarray(np.round(255 * share), np.uint8)
 
 
-def _overlay(probability: NDArray[np.float32], threshold: float) -> str:
-    """Crack pixels in colour, transparent elsewhere; faint below the threshold."""
-    p = np.nan_to_num(probability)
-    alpha = np.where(p >= threshold, 60 + 160 * p, 110 * p * (p > 0.4 * threshold))
+def _overlay(probability: NDArray[np.float32], marks: NDArray[np.float32], longest: int) -> str:
+    """Marks in colour, what else the detector answers to faintly; transparent elsewhere."""
+    p = np.nan_to_num(_peaks(probability, longest))
+    alpha = np.where(_peaks(marks, longest) > 0.5, 60 + 160 * p, 90 * p * (p > 0.25))
     bgra = np.empty((*p.shape, 4), np.uint8)
     bgra[..., :3] = _CRACK_RGB[::-1]
     bgra[..., 3] = np.clip(alpha, 0, 255)

@@ -3,8 +3,10 @@ from __future__ import annotations
 import errno
 import json
 import re
+import sys
 from collections.abc import Generator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -94,7 +96,8 @@ def test_every_setting_has_an_option_with_its_unit() -> None:
     for name in Settings.model_fields:
         described = Settings.model_fields[name].description or ""
         assert described.split(";")[0].split(":")[0][:30] in text
-    assert "[LR px]" in text
+    assert "[0.1 to 3 LR px]" in text
+    assert "default 0.7]" in text
 
 
 def test_version_and_help_answer() -> None:
@@ -103,9 +106,25 @@ def test_version_and_help_answer() -> None:
         assert called(command, "--help").exit_code == 0
 
 
-def test_wrong_usage_exits_with_2() -> None:
-    assert called("run").exit_code == 2
-    assert called("walk").exit_code == 2
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("run",), "SEQUENCE.*see pv-inspect run --help"),
+        (("run", "x"), "--out.*see pv-inspect run --help"),
+        (("run", "x", "--out", "y", "--rows", "six"), "--rows.*integer"),
+        (("run", "x", "--out", "y", "--nothing", 1), "--nothing"),
+        (("walk",), "walk.*see pv-inspect --help"),
+        (("--nothing",), "--nothing"),
+    ],
+)
+def test_wrong_usage_is_one_sentence_and_exits_with_2(
+    arguments: tuple[object, ...], said: str
+) -> None:
+    refused(called(*arguments), said, code=2)
+
+
+def test_without_arguments_the_help_is_shown() -> None:
+    assert "Commands:" in called().output
 
 
 def test_an_empty_folder_is_one_sentence(tmp_path: Path) -> None:
@@ -217,6 +236,14 @@ def test_gui_without_napari_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(cli, "import_module", missing)
     refused(called("gui"), r'napari can\'t be loaded: install them with +pip install "pv-inspect')
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_gui_without_a_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    refused(called("gui"), "needs a display")
 
 
 def test_gui_with_a_missing_sequence_is_one_sentence(tmp_path: Path) -> None:

@@ -63,16 +63,34 @@ def test_names_out_of_the_input_are_text_and_never_markup() -> None:
 
 def test_the_page_says_what_an_expert_asks_first() -> None:
     text = " ".join(Reader(render_report(made_inspection())).text.split())
-    assert "Cracks are suspected in 1 of 6 cells, most of all in row 1, column 2." in text
+    assert "Cracks are suspected in 1 of 6 cells, the longest in row 1, column 2." in text
     assert "made from 2 of 3 frames at 4.00× their resolution in 3.1 s" in text
     for name in Settings.model_fields:
         assert name in text
 
 
-def test_the_table_of_cells_starts_with_the_highest_score() -> None:
+def test_the_table_of_cells_starts_with_the_longest_cracks() -> None:
     html = render_report(made_inspection())
     table = html[html.index('<table id="cells">') :]
     assert table.index('id="r1c2"') < table.index('id="r1c1"')
+
+
+def test_a_dark_cell_is_named_and_not_judged() -> None:
+    inspection = made_inspection()
+    assert inspection.cracks is not None
+    first, *others = inspection.cracks.cells
+    cells = (replace(first, dark_area_share=0.9, crack_instances=0), *others)
+    html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
+    text = " ".join(Reader(html).text.split())
+    assert "One cell is dark, row 1, column 1: its cracks can't be judged." in text
+    assert "dark, not judged" in text
+
+
+def test_settings_are_shown_with_the_values_that_were_used() -> None:
+    text = Reader(render_report(made_inspection())).text
+    assert "2, from module.json" in text
+    assert ", fitted" in text
+    assert ", estimated" in text
 
 
 def test_a_module_without_cracks_has_no_close_ups() -> None:

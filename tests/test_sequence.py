@@ -90,6 +90,15 @@ def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Sequence.open(tmp_path).raw(2), frames[2])
 
 
+@pytest.mark.parametrize(
+    "content", [b"II*\0 no picture", b"II*\0\0\0\0\0", b"II*\0\x08\0\0\0", b""]
+)
+def test_a_tiff_without_a_picture_is_refused_not_dropped(folder: Path, content: bytes) -> None:
+    (folder / "frame_9.tif").write_bytes(content)
+    with pytest.raises(InspectionError, match=r"frame_9\.tif can't be read"):
+        Sequence.open(folder)
+
+
 def test_a_list_keeps_its_order_and_tells_equal_names_apart(tmp_path: Path) -> None:
     a = write(tmp_path / "a", make_frames(2))
     b = write(tmp_path / "b", make_frames(2, seed=1))

@@ -13,11 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
-from pv_inspect.cracks.features import CellFeatures, measure_cell
+from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.settings import Settings
 
-__all__ = ["CellFeatures", "CrackDetector", "CrackMap", "RidgeDetector", "read_cracks"]
+# Contrast is judged against at least this share of the module's usual brightness.
+_LEAST_BRIGHTNESS = 0.7
+
+__all__ = [
+    "CellFeatures",
+    "CrackDetector",
+    "CrackMap",
+    "RidgeDetector",
+    "crack_marks",
+    "read_cracks",
+]
 
 
 class CrackDetector(Protocol):
@@ -85,7 +95,7 @@ def read_cracks(
     cells = []
     for row, col in np.ndindex(rows, cols):
         tile = images[row, col]
-        maps[row, col] = np.clip(detector.probability(tile), 0.0, 1.0)
+        maps[row, col] = np.clip(detector.probability(_lifted(tile, usual)), 0.0, 1.0)
         cells.append(
             measure_cell(
                 tile,
@@ -99,3 +109,13 @@ def read_cracks(
         )
         yield len(cells) / (rows * cols)
     return CrackMap(tiles.assemble(maps), settings.crack_threshold, detector.name, tuple(cells))
+
+
+def _lifted(tile: NDArray[np.float32], usual: float) -> NDArray[np.float32]:
+    """Cell with a pedestal that brings a dark one to the brightness of the module.
+
+    Detectors look at contrast relative to the cell's brightness: in a dead cell that would be
+    noise divided by almost nothing.
+    """
+    lift = _LEAST_BRIGHTNESS * usual - float(np.median(tile))
+    return tile + np.float32(lift) if lift > 0 else tile

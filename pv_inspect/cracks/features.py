@@ -10,10 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from skimage.morphology import thin
 
-__all__ = ["CellFeatures", "measure_cell", "skeleton_length"]
+__all__ = ["CellFeatures", "crack_marks", "measure_cell", "skeleton_length"]
 
-# Shorter marks are no crack instances, in cell widths.
-MIN_LENGTH_CELLS = 0.05
+# A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
+# smallest rectangle in cell widths, and that side over the other one; a large mark may be a
+# crack that branches and need not be slender.
+MIN_EXTENT_CELLS = 0.15
+MIN_SLENDERNESS = 2.0
+_LARGE_EXTENT_CELLS = 0.25
+# A cell that is dark in at least this share has no current through it: what looks like a crack in
+# it is noise, or can't be told from noise.
+_DARK_CELL_SHARE = 0.5
 # The cell's edge belongs to the gap between cells, and thin dark lines are no dark area.
 _BORDER_CELLS = 0.04
 _DARK_MIN_WIDTH_CELLS = 0.05
@@ -38,7 +45,8 @@ class CellFeatures:
     crack_length_cells : float
         Length of all crack instances together along their centre lines, in cell widths.
     crack_instances : int
-        Connected marks of at least 0.05 cell widths.
+        Connected marks that are long and slender enough for a crack (`crack_marks`). 0 in a dark
+        cell: nothing can be read from it.
     dark_area_share : float
         Share of the cell that emits less than half of what is usual in the module; thin lines
         (cracks, busbars) do not count.
@@ -56,6 +64,53 @@ class CellFeatures:
     dark_area_share: float
     mean_intensity: float
     crack_score: float
+
+    @property
+    def crack_suspected(self) -> bool:
+        """Whether there is at least one mark that a crack could have made."""
+        return self.crack_instances > 0
+
+    @property
+    def dark(self) -> bool:
+        """Whether most of the cell is dark, so that its cracks are not judged."""
+        return self.dark_area_share >= _DARK_CELL_SHARE
+
+
+def crack_marks(
+    probability: NDArray[np.float32], threshold: float, cell_width_px: float
+) -> list[NDArray[np.bool_]]:
+    """Find the marks of a cell that a crack could have made.
+
+    Parameters
+    ----------
+    probability : (h, w) float32
+        Crack probability of the pixels of one cell.
+    threshold : float
+        Pixels with at least this probability belong to marks.
+    cell_width_px : float
+        Pixels per cell width.
+
+    Returns
+    -------
+    list of (h, w) bool
+        8-connected; the smallest rectangle around each is at least 0.15 cell widths long, and
+        twice as long as wide unless it is longer than 0.25.
+    """
+    mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
+    n_labels, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    marks = []
+    for k in range(1, n_labels):
+        x, y, width, height, _ = boxes[k]
+        if np.hypot(width, height) < MIN_EXTENT_CELLS * cell_width_px:
+            continue
+        pixels = np.argwhere(labels[y : y + height, x : x + width] == k).astype(np.float32)
+        # The rectangle goes through the centres of pixels, which reach half a pixel further.
+        short, long = sorted(side + 1 for side in cv2.minAreaRect(pixels)[1])
+        extent = long / cell_width_px
+        slender = long >= MIN_SLENDERNESS * short or extent >= _LARGE_EXTENT_CELLS
+        if extent >= MIN_EXTENT_CELLS and slender:
+            marks.append(labels == k)
+    return marks
 
 
 def measure_cell(
@@ -87,19 +142,18 @@ def measure_cell(
     -------
     CellFeatures
     """
-    mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
-    n_labels, labels = cv2.connectedComponents(mask, connectivity=8)
-    lengths = [skeleton_length(labels == k) / cell_width_px for k in range(1, n_labels)]
-    instances = [length for length in lengths if length >= MIN_LENGTH_CELLS]
+    dark_share = _dark_share(tile, usual_intensity, cell_width_px)
+    readable = dark_share < _DARK_CELL_SHARE
+    marks = crack_marks(probability, threshold, cell_width_px) if readable else []
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)
     n_score = min(max(n_score, 1), probability.size)
     highest = np.partition(probability, probability.size - n_score, axis=None)[-n_score:]
     return CellFeatures(
         row=row,
         col=col,
-        crack_length_cells=float(sum(instances)),
-        crack_instances=len(instances),
-        dark_area_share=_dark_share(tile, usual_intensity, cell_width_px),
+        crack_length_cells=float(sum(skeleton_length(mark) for mark in marks) / cell_width_px),
+        crack_instances=len(marks),
+        dark_area_share=dark_share,
         mean_intensity=float(tile.mean(dtype=np.float64)),
         crack_score=float(highest.mean(dtype=np.float64)),
     )

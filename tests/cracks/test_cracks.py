@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 from typing import TypeVar
 
+import cv2
 import numpy as np
 import pytest
 
@@ -52,3 +54,17 @@ def test_the_classical_detector_is_the_default() -> None:
     _, found = drained(read_cracks(tiles, Settings()))
     assert found.detector == "oriented ridge filters"
     assert max(found.cells, key=lambda c: c.crack_score).col == 1
+
+
+def test_noise_in_a_dead_cell_is_no_crack() -> None:
+    tiles = cut_cells(made_reconstruction())
+    images = tiles.images.copy()
+    rng = np.random.default_rng(4)
+    images[1, 1] = 0.02 + cv2.GaussianBlur(
+        rng.normal(0, 0.03, images.shape[2:]).astype(np.float32), (0, 0), 1.5
+    )
+    _, found = drained(read_cracks(replace(tiles, images=images), Settings()))
+    dead = found.cells[4]
+    assert dead.dark
+    assert not dead.crack_suspected
+    assert found.probability[tiles.grid.cell_slices(1, 1)].max() < 0.3

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.cracks.features import CellFeatures, measure_cell, skeleton_length
+from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell, skeleton_length
 
 SIDE = 200
 
@@ -61,6 +61,34 @@ def test_separate_marks_are_instances_and_specks_are_none() -> None:
     assert features.crack_instances == 2
     assert features.crack_length_cells == pytest.approx(180 / SIDE, abs=0.03)
     assert (features.row, features.col) == (1, 2)
+
+
+def test_a_compact_mark_is_no_crack_unless_it_is_large() -> None:
+    blob = np.zeros((SIDE, SIDE), np.uint8)
+    cv2.circle(blob, (60, 60), 18, 1, -1)  # 0.18 cell widths, a cluster of dark grains
+    assert not measured(blob > 0).crack_suspected
+    star = drawn(((20, 100), (180, 100)), ((100, 20), (100, 180)))
+    assert measured(star).crack_suspected
+
+
+@settings(max_examples=20, deadline=None)
+@given(angle=st.floats(0, 180), length=st.floats(0.05, 0.25))
+def test_a_straight_mark_counts_from_its_length_on_in_every_direction(
+    angle: float, length: float
+) -> None:
+    half = length * SIDE / 2 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+    a, b = np.round(100 - half).astype(int), np.round(100 + half).astype(int)
+    marks = crack_marks(drawn((tuple(a), tuple(b))).astype(np.float32), 0.5, SIDE)
+    if abs(length - 0.15) > 0.03:  # the ends are rounded to pixels and have the line's width
+        assert len(marks) == (length > 0.15)
+
+
+def test_a_dark_cell_is_not_judged() -> None:
+    tile = np.full((SIDE, SIDE), 0.1, np.float32)
+    features = measured(drawn(((20, 20), (180, 180))), tile)
+    assert features.dark
+    assert not features.crack_suspected
+    assert features.crack_length_cells == 0
 
 
 def test_the_score_is_the_probability_of_a_crack_that_is_long_enough() -> None:
