@@ -16,12 +16,18 @@ from pv_inspect.detection import detect
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
-from pv_inspect.simulate import SimulatedSequence
+from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 T = TypeVar("T")
 Small = tuple[SimulatedSequence, Path]
 
 ROWS, COLS, N = 4, 6, 8
+ROUNDING_PX = 1e-5
+"""The module image is summed in float32, in the order and the units of the frames."""
+TRANSPOSED_PX = 5e-3
+"""The fixed pattern of columns is taken out of the frames; transposed, it is one of rows."""
+REPITCHED_PX = 2e-2
+"""With the unit, the cell width, the pitch of the module image changes as well."""
 
 
 def finish(generator: Generator[float, None, T]) -> T:
@@ -47,10 +53,6 @@ def crossings_px(registration: Registration) -> np.ndarray:
     return np.array(points).reshape(-1, layout.rows + 1, layout.cols + 1, 2)
 
 
-def rms(difference: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(difference**2, axis=-1))))
-
-
 def written(folder: Path, frames: np.ndarray) -> Path:
     folder.mkdir()
     for i, frame in enumerate(frames):
@@ -74,26 +76,41 @@ def test_the_order_of_the_frames_does_not_matter(
     order = np.random.default_rng(2).permutation(N)
     files = sorted((small_sequence[1] / "frames").iterdir())
     shuffled = crossings_px(located(Sequence.open([files[i] for i in order]), settings))
-    print(rms(shuffled - usual[order]), np.abs(shuffled - usual[order]).max())
+    assert np.abs(shuffled - usual[order]).max() < ROUNDING_PX
 
 
 def test_the_brightness_does_not_matter(
     small_sequence: Small, settings: Settings, usual: np.ndarray, tmp_path: Path
 ) -> None:
-    frames = small_sequence[0].frames
-    for k in (2, 3, 16):
-        scaled = crossings_px(
-            located(Sequence.open(written(tmp_path / f"x{k}", k * frames)), settings)
-        )
-        print(k, rms(scaled - usual), np.abs(scaled - usual).max())
+    folder = written(tmp_path / "scaled", 3 * small_sequence[0].frames)
+    scaled = crossings_px(located(Sequence.open(folder), settings))
+    assert np.abs(scaled - usual).max() < ROUNDING_PX
+
+
+def transposed(frames: np.ndarray, rows: int, cols: int, aspect: float, folder: Path) -> np.ndarray:
+    """Crossings of transposed frames, put back to where they are in the original ones."""
+    written(folder, frames.transpose(0, 2, 1))
+    sidecar = {"rows": cols, "cols": rows, "cell_aspect": 1 / aspect}
+    (folder / "module.json").write_text(json.dumps(sidecar))
+    turned = crossings_px(located(Sequence.open(folder), Settings()))
+    return turned.transpose(0, 2, 1, 3)[..., ::-1]
 
 
 def test_a_transposed_module_has_transposed_crossings(
     small_sequence: Small, usual: np.ndarray, tmp_path: Path
 ) -> None:
-    frames = small_sequence[0].frames.transpose(0, 2, 1)
-    folder = written(tmp_path / "transposed", frames)
-    (folder / "module.json").write_text(json.dumps({"rows": COLS, "cols": ROWS, "cell_aspect": 1}))
-    turned = crossings_px(located(Sequence.open(folder), Settings()))
-    back = turned.transpose(0, 2, 1, 3)[..., ::-1]
-    print(rms(back - usual), np.abs(back - usual).max())
+    back = transposed(small_sequence[0].frames, ROWS, COLS, 1.0, tmp_path / "transposed")
+    assert np.abs(back - usual).max() < TRANSPOSED_PX
+
+
+def test_transposing_half_cut_cells_inverts_their_aspect(tmp_path: Path) -> None:
+    simulation = simulated(
+        SimulationSettings(
+            seed=8, rows=8, cols=3, cell_aspect=2.0, n_frames=3, width=200, height=240, kappa=-0.1,
+            tilt_deg=8, pixels_per_unit=160, supersampling=4, jitter_px=2.0,
+        )
+    )  # fmt: skip
+    folder = written(tmp_path / "upright", simulation.frames)
+    upright = located(Sequence.open(folder), Settings(rows=8, cols=3, cell_aspect=2.0))
+    back = transposed(simulation.frames, 8, 3, 2.0, tmp_path / "transposed")
+    assert np.abs(back - crossings_px(upright)).max() < REPITCHED_PX
