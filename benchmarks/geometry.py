@@ -89,8 +89,8 @@ class Truth:
         assert H is not None
         px = self.camera.project(H, self.layout.crossings())
         height, width = self.shape
-        inside = ((px > -0.5) & (px < [width - 0.5, height - 0.5])).all(axis=1)
-        return np.where(inside[:, None], px, np.nan)
+        inside = (px > -0.5) & (px < [width - 0.5, height - 0.5])
+        return np.where(inside.all(axis=1, keepdims=True), px, np.nan)
 
     @property
     def turns(self) -> list[int]:
