@@ -9,7 +9,7 @@ where neighbouring cells differ in brightness; a crossing is where its measured 
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pv_inspect.camera import Camera
-from pv_inspect.edges import SHARP_GAP, CellEdges, EdgeOffsets, cell_edges, measure_edges
+from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Outline, OutlineError, Pose, find_outline, fit_pose
 from pv_inspect.sequence import Sequence
 
-__all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame", "detect_on_module"]
+__all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,6 @@ MIN_EDGE_SHARE = 0.6
 """Share of the expected gaps that must be in place; dead cells and cracks hide some."""
 IN_PLACE_PX = 0.5
 FINER_SHARE = 0.85
-MIN_MODULE_CROSSINGS = 12
 MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
@@ -180,38 +179,6 @@ def detect_in_frame(
             f"there are borders in the middle of the {layout.rows} x {layout.cols} cells too"
         )
     return pose, _crossings(layout, edges, offsets, pose)
-
-
-def detect_on_module(module: NDArray[np.float32], grid: HrGrid) -> Array | None:
-    """Measure the crossing points once more on an image of the module plane.
-
-    The mean of all frames on the module plane is nearly free of noise: its gaps show what is
-    still bent, which every single frame's crossing points show less sharply.
-
-    Parameters
-    ----------
-    module : (H, W) float32
-        Module image on `grid`.
-    grid : HrGrid
-
-    Returns
-    -------
-    (n_crossings, 2) float64 or None
-        Where the crossing points are, module units; NaN for outer ones, whose outlines are less
-        certain than gaps. None if too few gaps are there.
-    """
-    layout = grid.layout
-    edges = cell_edges(layout)
-    to_pixels = np.asarray(np.linalg.inv(grid.matrix), np.float64)
-    plane = Pose(Camera(np.eye(3), 0.0), to_pixels)
-    offsets = measure_edges(
-        module, edges, plane, SEARCH_UNITS[-1], grid.magnification, (SHARP_GAP,)
-    )
-    offsets = replace(offsets, found=offsets.found & edges.inner)
-    crossings = _crossings(layout, edges, offsets, plane)
-    if crossings.measured.sum() < MIN_MODULE_CROSSINGS:
-        return None
-    return np.where(crossings.measured[:, None], grid.to_module(crossings.points_px), np.nan)
 
 
 def _orient(

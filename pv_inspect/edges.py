@@ -12,18 +12,28 @@ from scipy.special import ndtr
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Pose
 
-__all__ = ["CellEdges", "EdgeOffsets", "cell_edges", "measure_edges"]
+__all__ = [
+    "CellEdges",
+    "EdgeOffsets",
+    "GapShape",
+    "cell_edges",
+    "measure_edges",
+    "measure_gaps_robustly",
+]
 
 Array = NDArray[np.float64]
 
 ALONG = np.linspace(0.2, 0.8, 13)
 """Where along an edge the profile is averaged: the cut corners of mono cells stay outside."""
+ALONG_DENSELY = np.linspace(0.15, 0.85, 25)
 STEP_PX = 0.25
 MIN_SIGNIFICANCE = 4.0
 MIN_DEPTH = 0.04
 CORRELATED = 3.0
 GAP_ITERATIONS = 4
 MAX_GAP_PX = 4.0
+STEP_BLUR_PX = 0.8
+STEP_REACH_PX = 3.5
 
 
 @dataclass(frozen=True)
@@ -43,9 +53,8 @@ class GapShape:
         return GapShape(self.blur * factor, self.width * factor, self.reach * factor)
 
 
-SHARP_GAP = GapShape(0.6, 1.3, 1.75)
 GAP_SHAPES = (
-    SHARP_GAP,
+    GapShape(0.6, 1.3, 1.75),
     GapShape(0.65, 1.0, 3.5),
     GapShape(1.0, 1.0, 3.5),
     GapShape(1.6, 1.0, 4.0),
@@ -128,8 +137,6 @@ def measure_edges(
     edges: CellEdges,
     pose: Pose,
     search: float,
-    lr_px: float = 1.0,
-    shapes: tuple[GapShape, ...] | None = None,
 ) -> EdgeOffsets:
     """Measure where the gaps lie relative to a pose.
 
@@ -141,11 +148,6 @@ def measure_edges(
         Right to about `search`.
     search : float
         Half width of the search, module units.
-    lr_px : float
-        Image pixels per LR pixel, if the image is a magnified one.
-    shapes : tuple of GapShape, optional
-        Images of a gap that are tried, LR pixels; the one with the most significant gaps is taken
-        for all edges of a direction. Default `GAP_SHAPES`.
 
     Returns
     -------
@@ -164,19 +166,19 @@ def measure_edges(
     """
     # Image pixels per module unit; everything below is in image pixels.
     scale = float(np.nanmedian(_scale_px(edges, pose)))
-    shapes = tuple(shape.scaled(lr_px) for shape in shapes or GAP_SHAPES)
-    reach = search * scale + max(shape.reach for shape in shapes) + 2 * STEP_PX
+    reach = search * scale + max(shape.reach for shape in GAP_SHAPES) + 2 * STEP_PX
     half = int(np.ceil(reach / STEP_PX))
     x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
     search_px = max(search * scale, STEP_PX)
-    profiles, visible = _profiles(image, edges, pose, x / scale)
+    samples, visible = _profiles(image, edges, pose, x / scale, ALONG)
+    profiles = samples.mean(axis=1)
     place = np.full(len(profiles), np.nan)
     sigma = np.full(len(profiles), np.inf)
     found = np.zeros(len(profiles), bool)
     for axis in range(2):
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
         if inner.any():
-            shape = _best_shape(profiles[inner], x, search_px, shapes)
+            shape = _best_shape(profiles[inner], x, search_px)
             place[inner], sigma[inner], found[inner] = _fit_gaps(
                 profiles[inner], x, search_px, shape
             )
@@ -187,12 +189,55 @@ def measure_edges(
         flipped = profiles[outer].copy()
         turn = edges.side[outer] < 0
         flipped[turn] = flipped[turn][:, ::-1]
-        gap = _gap_width(profiles[found], x, place[found], lr_px)
-        step, deviation, good = _fit_steps(flipped, x, search_px, 0.8 * lr_px, 3.5 * lr_px)
+        gap = _gap_width(profiles[found], x, place[found])
+        step, deviation, good = _fit_steps(flipped, x, search_px)
         place[outer] = np.where(turn, -1, 1) * (step - gap / 2)
-        sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1 * lr_px)
+        sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1)
         found[outer] = good
     return EdgeOffsets(np.where(found, place / scale, np.nan), sigma / scale, found, visible)
+
+
+def measure_gaps_robustly(
+    image: NDArray[np.float32], edges: CellEdges, pose: Pose, search: float, shape: GapShape
+) -> EdgeOffsets:
+    """Measure the inner edges of a picture that is nearly free of noise, place by place.
+
+    Every gap is fitted at many places along it and the places are combined by a robust mean: a
+    crack or a dark cluster beside the gap then spoils some places, not the whole edge.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+    edges : CellEdges
+    pose : Pose
+        Right to about `search`.
+    search : float
+        Half width of the search, module units.
+    shape : GapShape
+        Image of a gap, image pixels.
+
+    Returns
+    -------
+    EdgeOffsets
+        Outer edges are never found.
+    """
+    scale = float(np.nanmedian(_scale_px(edges, pose)))
+    half = int(np.ceil((search * scale + shape.reach) / STEP_PX)) + 2
+    x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
+    samples, visible = _profiles(image, edges, pose, x / scale, ALONG_DENSELY)
+    n, places = samples.shape[:2]
+    place, _, found = _fit_gaps(samples.reshape(n * places, -1), x, search * scale, shape)
+    place = np.where(found, place, np.nan).reshape(n, places)
+    count = np.isfinite(place).sum(axis=1)
+    good = visible & edges.inner & (count > places // 2)
+    filled = np.where(good[:, None], place, 0.0)
+    middle = np.nanmedian(filled, axis=1)
+    spread = 1.4826 * np.nanmedian(np.abs(filled - middle[:, None]), axis=1)
+    distance = (filled - middle[:, None]) / (spread[:, None] + 0.05 * shape.width)
+    weight = np.where(np.isfinite(distance), 1 / (1 + distance**2), 0.0)
+    mean = (weight * np.nan_to_num(filled)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-12)
+    sigma = spread / np.sqrt(np.maximum(count, 1))
+    return EdgeOffsets(np.where(good, mean / scale, np.nan), sigma / scale, good, visible)
 
 
 def _scale_px(edges: CellEdges, pose: Pose) -> Array:
@@ -201,23 +246,23 @@ def _scale_px(edges: CellEdges, pose: Pose) -> Array:
 
 
 def _profiles(
-    image: NDArray[np.float32], edges: CellEdges, pose: Pose, d: Array
+    image: NDArray[np.float32], edges: CellEdges, pose: Pose, d: Array, along: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Average the image along each edge, for every distance d across it."""
+    """Sample the image across each edge at several places along it: (n, places, distances)."""
     height, width = image.shape
     points = (
         edges.middle[:, None, None]
-        + (ALONG - 0.5)[None, :, None, None] * edges.along[:, None, None]
+        + (along - 0.5)[None, :, None, None] * edges.along[:, None, None]
         + d[None, None, :, None] * edges.normal[:, None, None]
     )
     pixels = pose.project(points.reshape(-1, 2)).reshape(points.shape)
     lookup = np.nan_to_num(pixels, nan=-1e4).astype(np.float32)
     inside = np.all((lookup >= 0) & (lookup <= [width - 1, height - 1]), axis=-1)
-    flat = lookup.reshape(-1, len(d) * len(ALONG), 2)
+    flat = lookup.reshape(-1, len(d) * len(along), 2)
     values = cv2.remap(
         image, flat[..., 0], flat[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
     ).reshape(inside.shape)
-    return values.mean(axis=1).astype(np.float64), inside.all(axis=(1, 2))
+    return values.astype(np.float64), inside.all(axis=(1, 2))
 
 
 def _windows(profiles: Array, x: Array, search: float, reach: float) -> tuple[Array, Array, Array]:
@@ -266,9 +311,9 @@ def _search(
     return candidates, distance, parts, np.where(shallow, 0.0, significance)
 
 
-def _best_shape(profiles: Array, x: Array, search: float, shapes: tuple[GapShape, ...]) -> GapShape:
-    scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in shapes]
-    return shapes[int(np.argmax(scores))]
+def _best_shape(profiles: Array, x: Array, search: float) -> GapShape:
+    scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in GAP_SHAPES]
+    return GAP_SHAPES[int(np.argmax(scores))]
 
 
 def _fit_gaps(
@@ -308,12 +353,10 @@ def _least_squares(design: Array, values: Array) -> Array:
     return np.asarray(np.linalg.solve(_gram(design), right[..., None])[..., 0])
 
 
-def _fit_steps(
-    profiles: Array, x: Array, search: float, blur: float, reach: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Place of a dark-to-bright step along +d, its standard deviation, and whether it is there."""
-    candidates, distance, parts = _windows(profiles, x, search, reach)
-    step = ndtr(distance / blur)
+def _fit_steps(profiles: Array, x: Array, search: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Place of a dark-to-bright step along +x, its standard deviation, and whether it is there."""
+    candidates, distance, parts = _windows(profiles, x, search, STEP_REACH_PX)
+    step = ndtr(distance / STEP_BLUR_PX)
     basis = np.column_stack([1 - step, step])
     levels = parts @ np.linalg.pinv(basis).T
     height = levels[..., 1] - levels[..., 0]
@@ -329,13 +372,13 @@ def _fit_steps(
     step_size = candidates[1] - candidates[0] if len(candidates) > 1 else 0.0
     place = candidates[best] + np.clip(shift, -1, 1) * step_size
     top, rest = height[rows, best], noise[rows, best]
-    sigma = blur * np.sqrt(2 * np.pi) * rest / np.maximum(top, 1e-9)
+    sigma = STEP_BLUR_PX * np.sqrt(2 * np.pi) * rest / np.maximum(top, 1e-9)
     return place, sigma, inside & (top > 4 * rest)
 
 
-def _gap_width(profiles: Array, x: Array, place: Array, lr_px: float) -> float:
+def _gap_width(profiles: Array, x: Array, place: Array) -> float:
     """Width of a gap from its missing light, which blur does not change; image pixels."""
-    t = (x - place[:, None]) / lr_px
+    t = x - place[:, None]
     beside = (np.abs(t) > 2.2) & (np.abs(t) <= 3.5)
     left, right = (
         np.where(side, profiles, 0).sum(axis=1) / np.maximum(side.sum(axis=1), 1)
@@ -346,4 +389,4 @@ def _gap_width(profiles: Array, x: Array, place: Array, lr_px: float) -> float:
         return 0.0
     level = np.where(t < 0, left[:, None], right[:, None])[good]
     missing = np.where(np.abs(t[good]) <= 2.2, 1 - profiles[good] / level, 0).sum(axis=1)
-    return float(np.clip(np.median(missing) * STEP_PX, 0, MAX_GAP_PX * lr_px))
+    return float(np.clip(np.median(missing) * STEP_PX, 0, MAX_GAP_PX))

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equations
-from pv_inspect.calibration import Calibration, calibrate
+from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
-from pv_inspect.detection import Crossings, FrameCrossings, detect_on_module
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
+from pv_inspect.straightening import straighten
 
 __all__ = ["Registration", "module_mean", "register", "unregistered"]
 
@@ -41,6 +41,9 @@ class _Round:
 ROUNDS = (_Round(2.5, 2, 5), _Round(1.0, 2, 3), _Round(0.0, 2, 3), _Round(0.0, 1, 2))
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 REFERENCE_MAGNIFICATION = 2.0
+STRAIGHTENING_MAGNIFICATION = 3.0
+MIN_FRAMES_TO_STRAIGHTEN = 5
+"""The mean of fewer frames shows their noise and aliasing."""
 HUBER = 2.5
 MIN_CORRELATION = 0.5
 """Correlation of detail with the module image, relative to that of a typical frame."""
@@ -48,8 +51,6 @@ MIN_TYPICAL = 0.2
 """If the frames hardly correlate, all cells look alike and the correlation tells nothing."""
 MAX_STRAY_CELLS = 0.4
 """A registered frame that moved further from its crossing points is lost, in cell widths."""
-MODULE_CROSSING_SIGMA_PX = 0.05
-OUTER_CROSSING_SIGMA_PX = 0.25
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def register(
     sequence : Sequence
     calibration : Calibration
     settings : Settings
-        ``kappa`` and ``focal_length_px`` stay fixed if given.
+        If ``kappa`` is given, the camera stays as it is.
 
     Yields
     ------
@@ -153,12 +154,13 @@ def register(
     total = len(ROUNDS) * len(sequence)
     done = 0
     for number, plan in enumerate(ROUNDS):
-        reference, covered = module_mean(sequence, state, grid)
         if number == len(ROUNDS) - 1:
-            calibration = _recalibrated(state, calibration, reference, grid, sequence, settings)
+            fine = HrGrid.covering(state.layout, state.lr_px_per_unit, STRAIGHTENING_MAGNIFICATION)
+            mean, _ = module_mean(sequence, state, fine)
+            calibration = _straightened(state, calibration, mean, fine, settings)
             state = _with_poses(state, calibration)
             rays = _rays(state.camera, sequence.shape)
-            reference, covered = module_mean(sequence, state, grid)
+        reference, covered = module_mean(sequence, state, grid)
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
         rms = np.full(len(sequence), np.nan)
@@ -359,34 +361,25 @@ def _rejected(state: Registration, calibration: Calibration, correlation: Array)
     return replace(state, used=used, why=tuple(why), rms=rms)
 
 
-def _recalibrated(
-    state: Registration,
-    calibration: Calibration,
-    module: Image,
-    grid: HrGrid,
-    sequence: Sequence,
-    settings: Settings,
+def _straightened(
+    state: Registration, calibration: Calibration, module: Image, grid: HrGrid, settings: Settings
 ) -> Calibration:
-    """Fit the camera again to the gaps of the module image, carried into every frame."""
-    points = detect_on_module(module, grid)
-    if points is None:
+    """Refit camera and poses to the gaps of the module image, if they are seen well enough."""
+    if state.used.sum() < MIN_FRAMES_TO_STRAIGHTEN:
         return calibration
-    gaps = np.asarray(np.isfinite(points).all(axis=1))
-    # Outer crossings have no gaps around them: they stay, loosely, where the calibration has them.
-    points = np.where(gaps[:, None], points, _mean_crossings(state, calibration))
-    sigma_px = np.where(gaps, MODULE_CROSSING_SIGMA_PX, OUTER_CROSSING_SIGMA_PX)
-    frames = [
-        FrameCrossings(
-            state.camera.project(state.homographies[index], points),
-            sigma_px,
-            np.asarray(np.isfinite(points).all(axis=1)),
-        )
-        if state.used[index]
-        else FrameCrossings.failed(state.layout, state.why[index])
-        for index in range(len(sequence))
-    ]
-    again = calibrate(Crossings(state.layout, tuple(frames)), sequence.shape, settings)
-    return again if np.array_equal(again.used, state.used) else calibration
+    fitted = straighten(
+        module,
+        grid,
+        state.camera,
+        state.homographies[state.used],
+        fit_camera=settings.kappa is None,
+    )
+    if fitted is None:
+        return calibration
+    camera, poses = fitted
+    homographies = state.homographies.copy()
+    homographies[state.used] = poses
+    return replace(calibration, camera=camera, homographies=homographies)
 
 
 def _with_poses(state: Registration, calibration: Calibration) -> Registration:

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pv_inspect.camera import Camera
+from pv_inspect.edges import cell_edges
+from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.straightening import _basis, sharpened, straighten
+
+LAYOUT = ModuleLayout(5, 7)
+CAMERA = Camera(np.array([[600.0, 0, 322], [0, 600, 250], [0, 0, 1]]), -0.2)
+SCALE = 60.0
+FINER = 4
+
+
+def _poses() -> np.ndarray:
+    """Return three slightly different views, about 60 LR px per cell."""
+    poses = []
+    for tilt in (0.05, 0.08, 0.11):
+        rotation, _ = cv2.Rodrigues(np.array([tilt, -0.1, 0.02]))
+        poses.append(np.column_stack([rotation[:, 0], rotation[:, 1], [-3.4, -2.6, 10.0]]))
+    return np.array(poses)
+
+
+def _drawn(grid: HrGrid, appears_at: np.ndarray) -> np.ndarray:
+    """Draw cells of unequal brightness whose module coordinates are `appears_at`, blurred."""
+    x, y = np.moveaxis(appears_at, -1, 0)
+    inside = (x > 0) & (x < 7) & (y > 0) & (y < 5)
+    levels = np.random.default_rng(2).uniform(0.4, 0.8, (5, 7))
+    cells = levels[np.clip(y, 0, 4).astype(int), np.clip(x, 0, 6).astype(int)]
+    gap = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y))) < 0.01
+    image = np.where(inside & ~gap, cells, 0.05).astype(np.float32)
+    height, width = grid.shape
+    pixels = image.reshape(height, FINER, width, FINER).mean(axis=(1, 3))
+    return cv2.GaussianBlur(pixels, (0, 0), 0.55 * grid.magnification)
+
+
+def _pixel_points(grid: HrGrid) -> np.ndarray:
+    """Module coordinates of FINER x FINER samples in every pixel."""
+    height, width = grid.shape
+    rows, cols = (np.mgrid[0 : height * FINER, 0 : width * FINER] + 0.5) / FINER - 0.5
+    return grid.to_module(np.stack([cols, rows], axis=-1))
+
+
+def test_a_common_bend_and_a_wrong_kappa_are_found_from_the_gaps() -> None:
+    poses = _poses()
+    wrong = Camera(CAMERA.K + np.array([[0, 0, 0.8], [0, 0, -0.6], [0, 0, 0]]), -0.17)
+    grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
+    # What the wrong camera makes of the module, seen by the middle frame.
+    points = _pixel_points(grid)
+    pixels = wrong.project(poses[1], points.reshape(-1, 2))
+    truth = CAMERA.unproject(poses[1], pixels).reshape(*points.shape)
+    result = straighten(_drawn(grid, truth), grid, wrong, poses)
+    assert result is not None
+    camera, fitted = result
+    crossings = LAYOUT.crossings()
+    before = wrong.project(poses[1], crossings) - CAMERA.project(poses[1], crossings)
+    after = camera.project(fitted[1], crossings) - CAMERA.project(poses[1], crossings)
+    assert np.sqrt((before**2).sum(axis=1).mean()) > 0.8
+    assert np.sqrt((after**2).sum(axis=1).mean()) < 0.04
+    assert camera.kappa == pytest.approx(-0.2, abs=0.003)
+
+
+def test_a_camera_that_is_given_stays() -> None:
+    poses = _poses()
+    grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
+    shifted = _pixel_points(grid) - [0.01, -0.006]
+    result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, fit_camera=False)
+    assert result is not None
+    camera, fitted = result
+    assert camera.kappa == pytest.approx(CAMERA.kappa, abs=1e-9)
+    np.testing.assert_allclose(camera.K, CAMERA.K, atol=1e-6)
+    moved = CAMERA.unproject(poses[0], camera.project(fitted[0], LAYOUT.crossings()))
+    np.testing.assert_allclose(moved - LAYOUT.crossings(), [[0.01, -0.006]] * 48, atol=5e-4)
+
+
+def test_a_picture_without_gaps_changes_nothing() -> None:
+    grid = HrGrid.covering(LAYOUT, SCALE, 2.0)
+    flat = np.full(grid.shape, 0.5, np.float32)
+    assert straighten(flat, grid, CAMERA, _poses()) is None
+
+
+def test_the_basis_is_the_derivative_of_what_a_pixel_shows() -> None:
+    H = _poses()[:1]
+    points = LAYOUT.crossings()
+    edges = cell_edges(LAYOUT)
+    basis = _basis(points, CAMERA, H, edges)
+    pixels = CAMERA.project(H[0], points)
+    for column, (step, change) in enumerate(
+        [(1e-5, (0, 0)), (1e-3, (0, 2)), (1e-3, (1, 2))], start=8
+    ):
+        K = CAMERA.K.copy()
+        if column > 8:
+            K[change] += step
+        other = Camera(K, CAMERA.kappa + (step if column == 8 else 0.0))
+        numeric = (other.unproject(H[0], pixels) - points) / step
+        np.testing.assert_allclose(basis[:, :, column], numeric, rtol=2e-3, atol=1e-5)
+
+
+def test_sharpening_takes_the_blur_out_and_moves_nothing() -> None:
+    rng = np.random.default_rng(0)
+    smooth = cv2.GaussianBlur(rng.normal(0.5, 1, (120, 150)).astype(np.float32), (0, 0), 3.0)
+    blurred = cv2.GaussianBlur(smooth, (0, 0), 1.5)
+    inside = np.s_[20:-20, 20:-20]
+    before = np.abs(blurred - smooth)[inside].max()
+    after = np.abs(sharpened(blurred, 1.5) - smooth)[inside].max()
+    assert after < 0.25 * before
