@@ -440,10 +440,13 @@ def summary(trials: list[Trial]) -> str:
     for verdict in ("announced", "silent"):
         count = sum(t.verdict == verdict for t in trials)
         lines.append(f"failed, {verdict:9} {count:4} of {n} ({100 * count / n:.1f} %)")
-    scores = [t.score for t in trials if t.score is not None]
+    scores = [t.score for t in trials if t.score is not None and t.verdict == "fine"]
     rejected = sum(s.wrongly_rejected for s in scores)
     total = sum(s.frames for s in scores)
     lines.append(f"frames wrongly rejected in the others: {rejected} of {total}")
+    lines.append(
+        "Errors of those that did not fail; seeds of the worst three at the end of a line:"
+    )
     quantiles = (0.1, 0.5, 0.9, 0.98, 1.0)
     lines.append(f"{'':22}" + "".join(f"{100 * q:>9.0f} %" for q in quantiles))
     rows: dict[str, list[float]] = {
@@ -457,10 +460,11 @@ def summary(trials: list[Trial]) -> str:
         "wall s": [sum(s.wall_s) for s in scores],
     }
     for name, values in rows.items():
-        finite = [v for v in values if np.isfinite(v)]
+        finite = [(v, s.name) for v, s in zip(values, scores, strict=True) if np.isfinite(v)]
         if finite:
-            found = np.quantile(finite, quantiles)
-            lines.append(f"{name:22}" + "".join(f"{v:11.4f}" for v in found))
+            found = np.quantile([v for v, _ in finite], quantiles)
+            worst = ", ".join(seed for _, seed in sorted(finite, reverse=True)[:3])
+            lines.append(f"{name:22}" + "".join(f"{v:11.4f}" for v in found) + f"   {worst}")
     return "\n".join(lines)
 
 
