@@ -7,7 +7,7 @@ are eliminated by the Schur complement and the cost grows linearly with the numb
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,8 @@ class Bundle:
         Prior standard deviation of the principal point around it, LR px; 0 fixes it.
     kappa : float or None
         Fixed distortion, None to fit it.
+    pixel_shape : (2, 2) float64
+        K[:2, :2] / focal: the identity for square pixels.
     """
 
     views: Mapping[int, View]
@@ -81,6 +83,7 @@ class Bundle:
     centre: tuple[float, float]
     centre_std: float
     kappa: float | None
+    pixel_shape: Array = field(default_factory=lambda: np.eye(2))
 
     def without(self, frames: Collection[int]) -> Bundle:
         """Return the problem with some frames taken out."""
@@ -143,9 +146,11 @@ class Fit:
     @property
     def camera(self) -> Camera:
         """The camera of the solution."""
-        kappa, cx, cy = self.common
-        f = self.bundle.focal
-        return Camera(np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]]), kappa)
+        kappa, *centre = self.common
+        K = np.eye(3)
+        K[:2, :2] = self.bundle.focal * self.bundle.pixel_shape
+        K[:2, 2] = centre
+        return Camera(K, kappa)
 
     @property
     def kappa_std(self) -> float:
@@ -154,6 +159,37 @@ class Fit:
             return 0.0
         variance = self.repetition * self.normal_equations().common_covariance()[0, 0]
         return float(np.sqrt(variance))
+
+    def predicted_sigma_px(self, points: Array) -> dict[int, Array]:
+        """Standard deviation of the places that the fit predicts for points of the plane.
+
+        Parameters
+        ----------
+        points : (n, 2) float64
+
+        Returns
+        -------
+        dict of frame number to (n,) float64
+            Per axis (root mean square of x and y), LR px; NaN without an image.
+
+        Notes
+        -----
+        With the normal equations [[A, B], [B^T, C]] and the covariance S of the common parameters,
+        a pixel with the derivatives J (homography) and G (common) has the covariance
+        J A^-1 J^T + (G - J A^-1 B) S (G - J A^-1 B)^T. S counts errors that repeat in all frames.
+        """
+        equations = self.normal_equations()
+        inverse = np.linalg.pinv(equations.A, hermitian=True)
+        common = self.repetition * equations.common_covariance()
+        camera, sigma = self.camera, {}
+        for k, (i, H) in enumerate(self.homographies.items()):
+            d = camera.derivatives(H, points)
+            J = d.d_homography
+            G = np.concatenate([d.d_kappa[:, :, None], d.d_intrinsics[:, :, 2:]], axis=2)
+            G = G[:, :, self.bundle.free] - J @ (inverse[k] @ equations.B[k])
+            variance = np.sum((J @ inverse[k]) * J, axis=2) + np.sum((G @ common) * G, axis=2)
+            sigma[i] = np.sqrt(np.maximum(variance.mean(axis=1), 0.0))
+        return sigma
 
     def distances_px(self, i: int) -> Array:
         """Distance of every measured point of frame i from the model, LR px; NaN: no image."""

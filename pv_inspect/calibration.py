@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.bundle import Bundle, Fit, View, focal_length
 from pv_inspect.camera import Camera
+from pv_inspect.camera_file import KnownCamera, read_camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.settings import Settings
@@ -27,7 +28,7 @@ from pv_inspect.settings import Settings
 if TYPE_CHECKING:
     from pv_inspect.detection import Crossings, FrameCrossings
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "calibrate", "conventional_focal_length", "focal_length_source"]
 
 Array = NDArray[np.float64]
 
@@ -62,6 +63,9 @@ class Calibration:
     kappa_std : float
         Standard deviation of kappa, errors that repeat themselves in all frames included; 0 if it
         was given.
+    crossing_sigma_px : (n_frames, n_crossings) float64 or None
+        Standard deviation of a coordinate of `crossings_px`, LR px, from the covariance of the
+        fit; NaN for frames that are not used. None if the poses come from elsewhere.
     """
 
     layout: ModuleLayout
@@ -72,6 +76,7 @@ class Calibration:
     rms_px: Array
     focal_convention: bool
     kappa_std: float
+    crossing_sigma_px: Array | None = None
 
     def crossings_px(self, i: int) -> Array:
         """Return the fitted crossing points of frame i.
@@ -102,7 +107,8 @@ def calibrate(
         (height, width) of a frame.
     settings : Settings
         ``kappa`` and ``focal_length_px`` are fixed if given. A kappa that is given without a
-        focal length belongs to the focal length that `calibrate` finds.
+        focal length belongs to the focal length that `calibrate` finds. ``calibration_file`` fixes
+        the whole K and, unless ``kappa`` is given, its own kappa.
     principal_point_std_px : float, optional
         How far the principal point, the centre of distortion, may lie off the image centre: the
         standard deviation of a prior, default 1/128 of the larger image side. 0 fixes it.
@@ -110,27 +116,29 @@ def calibrate(
     Raises
     ------
     InspectionError
-        If no frame has crossing points that fit the module.
+        If no frame has crossing points that fit the module, or the calibration file is of no use.
     """
-    side = float(max(image_shape))
-    centre = ((image_shape[1] - 1) / 2.0, (image_shape[0] - 1) / 2.0)
-    std = CENTRE_STD * side if principal_point_std_px is None else principal_point_std_px
-    focal = settings.focal_length_px or FOCAL_CONVENTION * side
+    std = (
+        CENTRE_STD * max(image_shape) if principal_point_std_px is None else principal_point_std_px
+    )
+    known = _known_camera(image_shape, settings)
+    K = _usual_matrix(image_shape, settings) if known is None else known.K
     to_unit = _to_unit(crossings.layout)
     frames = _Frames(len(crossings.frames))
     views = _views(crossings, to_unit, frames)
-    starts = _starting_homographies(views, focal, centre, frames)
+    starts = _starting_homographies(views, Camera(K, 0.0), frames)
     bundle = Bundle(
         views={i: views[i] for i in starts},
-        focal=focal,
-        centre=centre,
-        centre_std=std,
-        kappa=settings.kappa,
+        focal=float(K[0, 0]),
+        centre=(float(K[0, 2]), float(K[1, 2])),
+        centre_std=std if known is None else 0.0,
+        kappa=settings.kappa if known is None else known.kappa,
+        pixel_shape=K[:2, :2] / K[0, 0],
     )
     cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
     fit = _fit_without_strangers(bundle, starts, cell, frames)
 
-    convention = settings.focal_length_px is None
+    convention = settings.focal_length_px is None and known is None
     if convention:
         # A kappa that was given moves with the focal length that it belongs to: fit again.
         for _ in range(1 if settings.kappa is None else 4):
@@ -144,9 +152,12 @@ def calibrate(
                 fit = fit.with_focal_length(found[0]).with_kappa(settings.kappa).refined()
 
     homographies = np.full((frames.n, 3, 3), np.nan)
+    sigma = np.full((frames.n, crossings.layout.n_crossings), np.nan)
+    predicted = fit.predicted_sigma_px(_in_unit(crossings.layout, to_unit))
     for i, H in fit.homographies.items():
         homographies[i] = H @ to_unit
         frames.rms[i] = fit.rms_px(i)
+        sigma[i] = predicted[i]
     return Calibration(
         layout=crossings.layout,
         camera=fit.camera,
@@ -156,7 +167,60 @@ def calibrate(
         rms_px=frames.rms,
         focal_convention=convention,
         kappa_std=fit.kappa_std,
+        crossing_sigma_px=sigma,
     )
+
+
+def conventional_focal_length(image_shape: tuple[int, int]) -> float:
+    """Focal length in LR px where nothing tells it: a field of view of 45 degrees."""
+    return FOCAL_CONVENTION * float(max(image_shape))
+
+
+def focal_length_source(
+    camera: Camera, image_shape: tuple[int, int], settings: Settings
+) -> Literal["given", "identified", "convention"]:
+    """Say where the focal length of a fitted camera comes from.
+
+    Parameters
+    ----------
+    camera : Camera
+    image_shape : tuple of int
+        (height, width) of a frame.
+    settings : Settings
+        Those that the camera was fitted with.
+
+    Returns
+    -------
+    str
+        "given" by the user, "identified" from the frames, or "convention": then only
+        kappa / f^2 has a meaning.
+    """
+    fixed = settings.focal_length_px is not None or settings.calibration_file is not None
+    if fixed and settings.registration_model == "camera":
+        return "given"
+    if camera.K[0, 0] == conventional_focal_length(image_shape):
+        return "convention"
+    return "identified"
+
+
+def _known_camera(image_shape: tuple[int, int], settings: Settings) -> KnownCamera | None:
+    """Return the camera of the user's calibration file; a kappa in the settings wins over its."""
+    if settings.calibration_file is None:
+        return None
+    if settings.focal_length_px is not None:
+        raise InspectionError(
+            f"Both a focal length ({settings.focal_length_px:g} px) and a calibration file "
+            f"({settings.calibration_file}) are given: give only one of them."
+        )
+    known = read_camera(settings.calibration_file, image_shape)
+    return known if settings.kappa is None else KnownCamera(known.K, settings.kappa)
+
+
+def _usual_matrix(image_shape: tuple[int, int], settings: Settings) -> Array:
+    """K with square pixels and the principal point in the middle of the image."""
+    focal = settings.focal_length_px or conventional_focal_length(image_shape)
+    x, y = (image_shape[1] - 1) / 2.0, (image_shape[0] - 1) / 2.0
+    return np.array([[focal, 0.0, x], [0.0, focal, y], [0.0, 0.0, 1.0]])
 
 
 class _Frames:
@@ -192,8 +256,13 @@ def _to_unit(layout: ModuleLayout) -> Array:
     return np.array([[s, 0, -s * width / 2], [0, s, -s * height / 2], [0, 0, 1.0]])
 
 
+def _in_unit(layout: ModuleLayout, to_unit: Array) -> Array:
+    """Crossing points of the layout, (n_crossings, 2), in the plane of the fit."""
+    return np.asarray(layout.crossings() @ to_unit[:2, :2].T + to_unit[:2, 2])
+
+
 def _views(crossings: Crossings, to_unit: Array, frames: _Frames) -> dict[int, View]:
-    points = crossings.layout.crossings() @ to_unit[:2, :2].T + to_unit[:2, 2]
+    points = _in_unit(crossings.layout, to_unit)
     needed = max(4, min(MIN_POINTS, len(points)))
     views = {}
     for i, frame in enumerate(crossings.frames):
@@ -225,12 +294,12 @@ def _sigma(frame: FrameCrossings) -> Array:
 
 
 def _starting_homographies(
-    views: dict[int, View], focal: float, centre: tuple[float, float], frames: _Frames
+    views: dict[int, View], ideal: Camera, frames: _Frames
 ) -> dict[int, Array]:
     """Homographies to normalised coordinates by least median of squares, no distortion yet."""
     starts = {}
     for i, view in views.items():
-        normalised = (view.px - centre) / focal
+        normalised = ideal.to_normalised(view.px)
         H = None
         if np.linalg.matrix_rank(np.cov(view.points.T), tol=1e-6) == 2:
             H, _ = cv2.findHomography(view.points, normalised, cv2.LMEDS)

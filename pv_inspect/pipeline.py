@@ -18,6 +18,7 @@ from pv_inspect.cells import CellTiles, cut_cells
 from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.detection import Crossings, detect
 from pv_inspect.errors import InspectionError
+from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration, register
@@ -273,7 +274,15 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
     if stage is Stage.REGISTER:
         calibration = _present(state.calibration)
         _need_a_frame(sequence, _reasons(calibration), state.layout)
-        steps = register(sequence, calibration, settings)
+        if settings.registration_model == "homography":
+            crossings = _present(state.crossings)
+            steps = register_by_homography(sequence, crossings, settings)
+        else:
+            if settings.calibration_file is not None:
+                # The user's camera stays as it is, as one with a given kappa does.
+                known = {"kappa": calibration.camera.kappa}
+                settings = settings.model_copy(update=known)
+            steps = register(sequence, calibration, settings)
         return (yield from _told(steps, "registering the frames against the module"))
     if stage is Stage.RECONSTRUCT:
         registration = _present(state.registration)

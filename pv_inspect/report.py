@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
+from pv_inspect.calibration import focal_length_source
 from pv_inspect.cracks import CellFeatures, CrackMap, crack_marks
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
@@ -21,6 +22,11 @@ from pv_inspect.versions import versions
 
 __all__ = ["render_report"]
 
+_FOCAL_LENGTH = {
+    "given": "given",
+    "identified": "found from the frames",
+    "convention": "by convention: the frames do not tell it, and nothing depends on it",
+}
 # Longest sides, pixels: a 4x module fits into a page of some hundred kilobytes.
 _MODULE_PX = 1600
 _SUPPORT_PX = 480
@@ -122,6 +128,9 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "support": _jpeg(_grey(_shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
         "frames": _frame_rows(inspection),
         "camera": registration.camera,
+        "focal_length": _FOCAL_LENGTH[
+            focal_length_source(registration.camera, inspection.sequence.shape, inspection.settings)
+        ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
         "prior_weight": reconstruction.prior_weight,
         "cracks": cracks,

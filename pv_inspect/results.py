@@ -17,6 +17,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect import __version__
+from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.errors import InspectionError
@@ -248,7 +249,13 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "rows": layout.rows,
         "cols": layout.cols,
         "layout": {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect},
-        "camera": {"K": registration.camera.K, "kappa": registration.camera.kappa},
+        "camera": {
+            "K": registration.camera.K,
+            "kappa": registration.camera.kappa,
+            "focal_length": focal_length_source(
+                registration.camera, inspection.sequence.shape, inspection.settings
+            ),
+        },
         "frames": frames,
         "settings": inspection.settings.model_dump(mode="json"),
         "prior_weight": reconstruction.prior_weight,

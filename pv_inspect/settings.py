@@ -6,7 +6,7 @@ import json
 import tomllib
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.config import JsonDict
@@ -98,6 +98,20 @@ class Settings(BaseModel):
         "Focal length; if not given it is a stated convention that the results do not depend on.",
         gt=10,
         le=1e6,
+    )
+    calibration_file: Path | None = _tunable(
+        None,
+        Stage.CALIBRATE,
+        "file",
+        "Calibration of the camera (YAML, JSON or XML of OpenCV, or a result.json): fixes focal "
+        "length, principal point and, unless kappa is given, kappa.",
+    )
+    registration_model: Literal["camera", "homography"] = _tunable(
+        "camera",
+        Stage.REGISTER,
+        "1",
+        "camera: every frame against the module image, with lens distortion; homography: plain "
+        "homographies between frames, the ablation OURS-H of the paper.",
     )
     magnification: Finite = _tunable(
         4.0,

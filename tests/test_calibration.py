@@ -1,12 +1,18 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pv_inspect.bundle import Bundle, Fit, View, focal_length
-from pv_inspect.calibration import FOCAL_CONVENTION, Calibration, calibrate
+from pv_inspect.calibration import (
+    FOCAL_CONVENTION,
+    Calibration,
+    calibrate,
+    focal_length_source,
+)
 from pv_inspect.camera import Camera
 from pv_inspect.detection import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
@@ -396,3 +402,81 @@ def test_true_crossings_of_the_simulated_sequences_are_met(shared_sequences, nam
     assert error_px(fit, H, camera, layout) < 1e-3
     assert not fit.focal_convention
     np.testing.assert_allclose(fit.camera.K, camera.K, rtol=0, atol=1.0)
+
+
+def test_the_stated_deviation_of_the_crossings_is_the_observed_one() -> None:
+    H = poses(4, LAYOUT, 12)
+    truth = np.array([CAMERA.project(h, LAYOUT.crossings()) for h in H])
+    fits = [calibrate(observed(H, noise=0.2, seed=s), SHAPE, Settings()) for s in range(40)]
+    squared = [(np.array([f.crossings_px(i) for i in range(4)]) - truth) ** 2 for f in fits]
+    rms = np.sqrt(np.mean(squared, axis=(0, 3)))
+    stated = np.array([f.crossing_sigma_px for f in fits])
+    assert stated.shape == (40, 4, LAYOUT.n_crossings)
+    ratio = rms / np.median(stated, axis=0)
+    assert 0.85 < np.median(ratio) < 1.15
+    assert 0.6 < ratio.min() < ratio.max() < 1.6
+
+
+def test_points_far_from_measured_ones_are_less_certain() -> None:
+    H = poses(3, LAYOUT, 12)
+    crossings = observed(H, noise=0.1)
+    frame = crossings.frames[1]
+    half = frame.measured & (LAYOUT.crossings()[:, 0] < 5)
+    crossings = replaced(crossings, 1, FrameCrossings(frame.points_px, frame.sigma_px, half, ""))
+    sigma = calibrate(crossings, SHAPE, Settings()).crossing_sigma_px
+    assert sigma is not None
+    edge = LAYOUT.crossings()[:, 0] == 10
+    assert sigma[1][edge].min() > 3 * sigma[0][edge].max()
+    failed = replaced(crossings, 2, FrameCrossings.failed(LAYOUT, "black"))
+    sigma = calibrate(failed, SHAPE, Settings()).crossing_sigma_px
+    assert sigma is not None
+    assert np.isnan(sigma[2]).all()
+
+
+def calibration_file(path: Path, K: np.ndarray, kappa: float | None) -> Path:
+    entries = {"K": K.tolist(), **({} if kappa is None else {"kappa": kappa})}
+    path.write_text(json.dumps(entries))
+    return path
+
+
+def test_the_camera_of_a_calibration_file_is_kept(tmp_path: Path) -> None:
+    # Pixels that are not square: no fit would find that.
+    camera = Camera(np.array([[800.0, 0, 310.0], [0, 830.0, 262.0], [0, 0, 1]]), -0.2)
+    H = poses(4, LAYOUT, 12)
+    path = calibration_file(tmp_path / "camera.json", camera.K, camera.kappa)
+    settings = Settings(calibration_file=path)
+    fit = calibrate(observed(H, camera), SHAPE, settings)
+    np.testing.assert_allclose(fit.camera.K, camera.K, rtol=1e-15)
+    assert fit.camera.kappa == -0.2
+    assert fit.kappa_std == 0.0
+    assert not fit.focal_convention
+    assert focal_length_source(fit.camera, SHAPE, settings) == "given"
+    assert error_px(fit, H, camera) < 1e-4
+
+
+def test_a_file_without_distortion_leaves_kappa_to_the_fit_and_a_given_kappa_wins(
+    tmp_path: Path,
+) -> None:
+    H = poses(4, LAYOUT, 12)
+    settings = Settings(calibration_file=calibration_file(tmp_path / "c.json", CAMERA.K, None))
+    fit = calibrate(observed(H), SHAPE, settings)
+    np.testing.assert_array_equal(fit.camera.K, CAMERA.K)
+    assert fit.camera.kappa == pytest.approx(-0.2, abs=1e-4)
+    assert calibrate(observed(H), SHAPE, settings.changed(kappa=-0.19)).camera.kappa == -0.19
+
+
+def test_a_file_and_a_focal_length_contradict_each_other(tmp_path: Path) -> None:
+    settings = Settings(
+        calibration_file=calibration_file(tmp_path / "c.json", CAMERA.K, None),
+        focal_length_px=700.0,
+    )
+    with pytest.raises(InspectionError, match=r"Both a focal length \(700 px\) and a calibration"):
+        calibrate(observed(poses(3, LAYOUT, 12)), SHAPE, settings)
+
+
+def test_where_the_focal_length_comes_from_is_said() -> None:
+    found = calibrate(observed(poses(10, LAYOUT, 18)), SHAPE, Settings())
+    assert focal_length_source(found.camera, SHAPE, Settings()) == "identified"
+    alone = calibrate(observed(poses(1, LAYOUT, 0), noise=0.1), SHAPE, Settings())
+    assert focal_length_source(alone.camera, SHAPE, Settings()) == "convention"
+    assert focal_length_source(found.camera, SHAPE, Settings(focal_length_px=800.0)) == "given"

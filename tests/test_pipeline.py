@@ -3,6 +3,7 @@ from __future__ import annotations
 import time
 from collections.abc import Generator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class Stages:
         self.registration: Any = made_registration()
         for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
             monkeypatch.setattr(pipeline, name, getattr(self, name))
+        monkeypatch.setattr(pipeline, "register_by_homography", self.register_by_homography)
 
     def fractions(self, name: str, result: Any) -> Generator[Any, None, Any]:
         self.ran.append(name)
@@ -55,8 +57,13 @@ class Stages:
         self.ran.append("calibrate")
         return made_calibration(len(self.crossings.frames))
 
-    def register(self, *_: Any) -> Generator[float, None, Any]:
+    def register(self, _: Any, __: Any, settings: Settings) -> Generator[float, None, Any]:
+        self.registered_with = settings
         return self.fractions("register", self.registration)
+
+    def register_by_homography(self, _: Any, crossings: Any, __: Any) -> Any:
+        assert crossings is self.crossings
+        return self.fractions("by homography", self.registration)
 
     def reconstruct(self, *_: Any) -> Generator[Progress, None, Any]:
         self.ran.append("reconstruct")
@@ -151,6 +158,22 @@ def test_only_what_a_changed_setting_makes_stale_runs_again(
     assert second.complete
     assert fractions[-1] == pytest.approx(1.0) or not again
     assert set(second.seconds) == {stage.value for stage in Stage}
+
+
+def test_the_ablation_replaces_the_registration_and_nothing_else(stages: Stages) -> None:
+    first = run_to_end(inspect(SEQUENCE))
+    stages.ran.clear()
+    second = run_to_end(inspect(SEQUENCE, Settings(registration_model="homography"), first))
+    assert stages.ran == ["by homography", *ALL[3:]]
+    assert second.complete
+
+
+def test_a_camera_out_of_a_file_stays_as_it_is(stages: Stages) -> None:
+    run_to_end(inspect(SEQUENCE))
+    assert stages.registered_with.kappa is None
+    settings = Settings(calibration_file=Path("camera.yml"))
+    assert run_to_end(inspect(SEQUENCE, settings)).settings == settings
+    assert stages.registered_with.kappa == made_calibration().camera.kappa
 
 
 def test_another_sequence_starts_afresh(stages: Stages) -> None:

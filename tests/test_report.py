@@ -65,6 +65,7 @@ def test_the_page_says_what_an_expert_asks_first() -> None:
     text = " ".join(Reader(render_report(made_inspection())).text.split())
     assert "Cracks are suspected in 1 of 6 cells, the longest in row 1, column 2." in text
     assert "made from 2 of 3 frames at 4.00× their resolution in 3.1 s" in text
+    assert "at a focal length of 100 px (found from the frames)" in text
     for name in Settings.model_fields:
         assert name in text
 

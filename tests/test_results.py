@@ -37,6 +37,7 @@ def test_the_folder_holds_what_the_contract_says(tmp_path: Path) -> None:
     assert record["pixels_per_cell"] == [80.0, 80.0]
     assert record["origin_px"] == [11.5, 11.5]
     assert (record["rows"], record["cols"], record["magnification"]) == (2, 3, 4.0)
+    assert record["camera"]["focal_length"] == "identified"
     assert record["seconds"] == {"load": 0.1, "detect": 1.0, "reconstruct": 2.0, "total": 3.1}
     first, rejected, _ = record["frames"]
     assert np.array(first["crossings_px"]).shape == (12, 2)

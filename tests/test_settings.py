@@ -13,6 +13,10 @@ def test_a_changed_setting_makes_its_stage_and_no_earlier_one_stale() -> None:
     assert settings.first_stale_stage(settings) is None
     assert settings.first_stale_stage(settings.changed(prior_weight=1.0)) is Stage.RECONSTRUCT
     assert settings.first_stale_stage(settings.changed(kappa=0.1)) is Stage.CALIBRATE
+    ablation = settings.changed(registration_model="homography")
+    assert settings.first_stale_stage(ablation) is Stage.REGISTER
+    file = settings.changed(calibration_file=Path("camera.yml"))
+    assert settings.first_stale_stage(file) is Stage.CALIBRATE
     both = settings.changed(kappa=0.1, magnification=3)
     assert settings.first_stale_stage(both) is Stage.CALIBRATE
 
@@ -38,6 +42,7 @@ def test_settings_survive_a_toml_file(tmp_path: Path) -> None:
         ({"lambda_": 1}, "no setting 'lambda_': use one of rows"),
         ({"kappa": float("nan")}, "kappa is nan"),
         ({"rows": "many"}, "rows is 'many'"),
+        ({"registration_model": "ecc"}, "is 'ecc' .*should be 'camera' or 'homography'"),
     ],
 )
 def test_a_wrong_value_is_named_with_its_range(values: dict[str, object], text: str) -> None:
