@@ -71,12 +71,13 @@ def read_camera(path: Path, image_shape: tuple[int, int]) -> KnownCamera:
             f"{_WANTED}."
         )
     distortion = _numbers(path, entries, _DISTORTION_KEYS)
+    kappa = _radial(path, distortion)
     try:
-        camera = Camera(matrix.reshape(3, 3), _radial(path, distortion) or 0.0)
+        camera = Camera(matrix.reshape(3, 3), kappa or 0.0)
     except InspectionError as error:
         raise InspectionError(f"{path}: {error}") from None
     _check_size(path, entries, camera, image_shape)
-    return KnownCamera(camera.K, None if distortion is None else camera.kappa)
+    return KnownCamera(camera.K, kappa)
 
 
 def _radial(path: Path, distortion: NDArray[np.float64] | None) -> float | None:

@@ -170,6 +170,7 @@ def run(
     """
     with _one_sentence(debug):
         # Imported here: --help and --version answer at once.
+        from pv_inspect.camera_file import read_camera
         from pv_inspect.pipeline import inspect
         from pv_inspect.progress import follow
         from pv_inspect.results import check_writable, write_result
@@ -196,6 +197,8 @@ def run(
         _use_threads(threads)
         begun = perf_counter()
         opened = Sequence.open(sequence, settings.dark_frame)
+        if settings.calibration_file is not None:  # complain before the long part
+            read_camera(settings.calibration_file, opened.shape)
         inspection = follow(inspect(opened, settings), quiet=quiet)
         write_result(inspection, out)
         if not quiet:

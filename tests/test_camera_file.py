@@ -75,8 +75,9 @@ def test_more_distortion_than_one_coefficient_is_refused(
     tmp_path: Path, coefficients: list[float], said: str
 ) -> None:
     path = opencv_file(tmp_path / "camera.yml", coefficients)
-    with pytest.raises(InspectionError, match=f"{said}, but the camera model has one radial"):
+    with pytest.raises(InspectionError, match=f"{said}, but the camera model has one radial") as e:
         read_camera(path, SHAPE)
+    assert str(e.value).count(str(path)) == 1
 
 
 def test_a_calibration_of_another_image_size_is_refused(tmp_path: Path) -> None:

@@ -190,6 +190,17 @@ def failing(error: BaseException) -> Any:
     return inspect
 
 
+def test_a_calibration_file_is_checked_before_anything_is_computed(
+    frames: Path, tmp_path: Path, quick: list[Settings]
+) -> None:
+    arguments = ("run", frames, "--out", tmp_path / "out", "--calibration")
+    refused(called(*arguments, tmp_path / "none.yml"), r"none\.yml can't be read")
+    assert quick == []
+    (tmp_path / "camera.json").write_text('{"K": [[90, 0, 63], [0, 90, 47], [0, 0, 1]]}')
+    assert called(*arguments, tmp_path / "camera.json").exit_code == 0
+    assert quick[0].calibration_file == tmp_path / "camera.json"
+
+
 def test_an_interrupt_exits_with_130_and_one_line(
     frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
