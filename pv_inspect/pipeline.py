@@ -278,10 +278,6 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
             crossings = _present(state.crossings)
             steps = register_by_homography(sequence, crossings, settings)
         else:
-            if settings.calibration_file is not None:
-                # The user's camera stays as it is, as one with a given kappa does.
-                known = {"kappa": calibration.camera.kappa}
-                settings = settings.model_copy(update=known)
             steps = register(sequence, calibration, settings)
         return (yield from _told(steps, "registering the frames against the module"))
     if stage is Stage.RECONSTRUCT:

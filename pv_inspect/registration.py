@@ -42,6 +42,8 @@ ROUNDS = (_Round(2.5, 2, 5), _Round(1.0, 2, 3), _Round(0.0, 2, 3), _Round(0.0, 1
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 REFERENCE_MAGNIFICATION = 2.0
 STRAIGHTENING_MAGNIFICATION = 3.0
+KAPPA_SLACK = 3.0
+"""The detection's own bias leaves kappa up to so many standard deviations off."""
 MIN_FRAMES_TO_STRAIGHTEN = 5
 """The mean of fewer frames shows their noise and aliasing."""
 HUBER = 2.5
@@ -118,7 +120,7 @@ def register(
     sequence : Sequence
     calibration : Calibration
     settings : Settings
-        If ``kappa`` is given, the camera stays as it is.
+        If ``kappa`` or ``calibration_file`` is given, the camera stays as it is.
 
     Yields
     ------
@@ -367,12 +369,13 @@ def _straightened(
     """Refit camera and poses to the gaps of the module image, if they are seen well enough."""
     if state.used.sum() < MIN_FRAMES_TO_STRAIGHTEN:
         return calibration
+    free = settings.kappa is None and settings.calibration_file is None
     fitted = straighten(
         module,
         grid,
         state.camera,
         state.homographies[state.used],
-        fit_camera=settings.kappa is None,
+        KAPPA_SLACK * calibration.kappa_std if free else 0.0,
     )
     if fitted is None:
         return calibration

@@ -27,7 +27,8 @@ NOISE_TO_SIGNAL = 0.01
 SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.1)
 """A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
 SEARCH_UNITS = 0.05
-MIN_GAPS = 24
+MIN_GAPS = 40
+"""Fewer do not determine the 11 parameters better than the crossing points of all frames."""
 CENTRE_STD_PX = 1.0
 """How far the principal point may go from where the calibration put it."""
 
@@ -37,8 +38,7 @@ def straighten(
     grid: HrGrid,
     camera: Camera,
     homographies: Array,
-    *,
-    fit_camera: bool = True,
+    kappa_std: float,
 ) -> tuple[Camera, Array] | None:
     """Choose camera and poses so that the gaps of the module image are where they should be.
 
@@ -51,8 +51,9 @@ def straighten(
     camera : Camera
     homographies : (n, 3, 3) float64
         Poses of the frames, module plane to normalised image coordinates.
-    fit_camera : bool
-        Whether kappa and principal point may change, or only the homography common to all frames.
+    kappa_std : float
+        How far kappa may go from where it is, standard deviation of a prior. 0 keeps kappa and
+        principal point: only the homography common to all frames is fitted.
 
     Returns
     -------
@@ -75,7 +76,7 @@ def straighten(
     )
     if offsets.found.sum() < MIN_GAPS:
         return None
-    solution = _fit(edges, offsets, camera, homographies, grid, fit_camera)
+    solution = _fit(edges, offsets, camera, homographies, grid, kappa_std)
     ideal = layout.crossings()
     appears = ideal + np.einsum("nki,i->nk", _basis(ideal, camera, homographies, edges), solution)
     d_kappa, d_x, d_y = -solution[8:]
@@ -108,7 +109,7 @@ def _fit(
     camera: Camera,
     homographies: Array,
     grid: HrGrid,
-    fit_camera: bool,
+    kappa_std: float,
 ) -> Array:
     scale = grid.pixels_per_unit / grid.magnification
     use = offsets.found
@@ -117,9 +118,8 @@ def _fit(
     values = scale * offsets.offset[use]
     # Columns of one order; a camera that must stay has a prior without any slack.
     size = np.maximum(np.abs(rows).max(axis=0), 1e-12)
-    slack = np.array([np.inf] * 9 + [CENTRE_STD_PX] * 2)
-    if not fit_camera:
-        slack[8:] = 1e-12
+    slack = np.array([np.inf] * 8 + [kappa_std] + [CENTRE_STD_PX if kappa_std > 0 else 0.0] * 2)
+    slack = np.maximum(slack, 1e-12)
     prior = np.diag(1 / (slack * size))
     weight, sigma = np.ones(len(values)), 0.1
     for _ in range(30):

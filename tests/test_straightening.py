@@ -52,7 +52,7 @@ def test_a_common_bend_and_a_wrong_kappa_are_found_from_the_gaps() -> None:
     points = _pixel_points(grid)
     pixels = wrong.project(poses[1], points.reshape(-1, 2))
     truth = CAMERA.unproject(poses[1], pixels).reshape(*points.shape)
-    result = straighten(_drawn(grid, truth), grid, wrong, poses)
+    result = straighten(_drawn(grid, truth), grid, wrong, poses, 0.1)
     assert result is not None
     camera, fitted = result
     crossings = LAYOUT.crossings()
@@ -67,7 +67,7 @@ def test_a_camera_that_is_given_stays() -> None:
     poses = _poses()
     grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
     shifted = _pixel_points(grid) - [0.01, -0.006]
-    result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, fit_camera=False)
+    result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, 0.0)
     assert result is not None
     camera, fitted = result
     assert camera.kappa == pytest.approx(CAMERA.kappa, abs=1e-9)
@@ -79,7 +79,7 @@ def test_a_camera_that_is_given_stays() -> None:
 def test_a_picture_without_gaps_changes_nothing() -> None:
     grid = HrGrid.covering(LAYOUT, SCALE, 2.0)
     flat = np.full(grid.shape, 0.5, np.float32)
-    assert straighten(flat, grid, CAMERA, _poses()) is None
+    assert straighten(flat, grid, CAMERA, _poses(), 0.1) is None
 
 
 def test_the_basis_is_the_derivative_of_what_a_pixel_shows() -> None:
