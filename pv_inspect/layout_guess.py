@@ -1,0 +1,297 @@
+"""Rows, columns and cell aspect of a module, guessed from the frames when nobody gives them.
+
+The outline alone gives a pose up to the number of cells. Seen through that pose the module is a
+rectangle in which gaps between cells are dark lines at k / n of its width and height. Busbars are
+dark lines too, in one of the two directions; they are less dark, not evenly spaced together with
+the gaps, or would make cells of an unlikely aspect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.detection import detect_in_frame
+from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.outline import OutlineError, Pose, find_outlines, fit_pose
+from pv_inspect.sequence import Sequence
+
+__all__ = ["LayoutGuess", "guess_layout"]
+
+Array = NDArray[np.float64]
+
+MAX_FRAMES = 6
+MAX_CANDIDATES = 8
+USUAL_ASPECTS = (1.0, 2.0, 0.5)
+SNAP = 0.12
+"""A cell aspect this near to a usual one is taken for it; the perspective leaves it uncertain."""
+ASPECT_SIGMA = 0.06
+UNUSUAL_WEIGHT = 0.15
+MIN_CELL_PX = 8.0
+MAX_CELLS = 60
+RECTIFIED_PX = (300, 2400)
+SAMPLES_PER_PX = 1.5
+SAMPLES_ALONG = 240
+BANDS = 6
+BETWEEN = np.arange(0.2, 0.51, 0.05)
+VALLEYS_PX = (2.5, 5.0)
+"""Distances at which a dark line is compared with what is beside it, LR pixels."""
+LINE_QUANTILE = 0.4
+"""A gap is dark along all of its length but for a few dead cells; a crack is not."""
+MIN_DEPTH = 0.05
+MIN_CONFIDENCE = 0.2
+UNIT = ModuleLayout(1, 1)
+
+
+@dataclass(frozen=True)
+class LayoutGuess:
+    """What the frames say about the layout, for a person to confirm.
+
+    Parameters
+    ----------
+    layout : ModuleLayout
+        The most likely one.
+    confidence : float
+        1 - score of the next best layout / score of this one, 0 to 1.
+    alternatives : tuple of ModuleLayout
+        Other layouts, more likely ones first.
+    """
+
+    layout: ModuleLayout
+    confidence: float
+    alternatives: tuple[ModuleLayout, ...]
+
+
+@dataclass(frozen=True)
+class _View:
+    """One frame: the module as the unit square, and how well each number of cells fits."""
+
+    image: NDArray[np.float32]
+    pose: Pose
+    across: Array
+    down: Array
+    ratio: float
+
+    def turned(self) -> _View:
+        pose = self.pose.turned(UNIT.size, UNIT.size, 1)
+        return _View(self.image, pose, self.down, self.across, 1 / self.ratio)
+
+
+def guess_layout(
+    sequence: Sequence,
+    inside: tuple[float, float] | None = None,
+    known: dict[str, float] | None = None,
+) -> LayoutGuess:
+    """Guess rows, columns and cell aspect of the module that the frames show.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    inside : tuple of float, optional
+        (x, y) of a point in the wanted module, LR pixels.
+    known : dict, optional
+        What is known of "rows", "cols", "cell_aspect"; the guess keeps to it.
+
+    Returns
+    -------
+    LayoutGuess
+
+    Raises
+    ------
+    InspectionError
+        If no frame shows a whole module, or its gaps do not tell how many cells it has.
+    """
+    views: list[_View] = []
+    reason = "no frame"
+    picks = np.unique(np.linspace(0, len(sequence) - 1, min(len(sequence), 2 * MAX_FRAMES)).round())
+    for index in (int(pick) for pick in picks):
+        if len(views) == MAX_FRAMES:
+            break
+        try:
+            view = _view(sequence.frame(index).image, inside)
+        except OutlineError as error:
+            reason = f"{sequence.names[index]}: {error}"
+            continue
+        if views and abs(np.log(view.ratio * views[0].ratio)) < abs(
+            np.log(view.ratio / views[0].ratio)
+        ):
+            view = view.turned()
+        views.append(view)
+    if not views:
+        raise InspectionError(
+            f"The rows and columns of cells can't be guessed, no frame shows a whole module "
+            f"({reason}): give rows and cols."
+        )
+    candidates = _ranked(views, known or {})
+    good = [(layout, score) for layout, score in candidates if _holds(views, layout)]
+    confidence = 0.0
+    if good:
+        rest = good[1][1] if len(good) > 1 else 0.0
+        confidence = 1.0 - rest / good[0][1]
+    if confidence < MIN_CONFIDENCE:
+        seen = " or ".join(_words(layout) for layout, _ in (good or candidates)[:2])
+        raise InspectionError(
+            "The rows and columns of cells can't be guessed with confidence"
+            + (f" ({seen} perhaps)" if seen else "")
+            + ": give rows and cols."
+        )
+    others = tuple(layout for layout, _ in [*good[1:], *candidates] if layout != good[0][0])
+    return LayoutGuess(good[0][0], confidence, tuple(dict.fromkeys(others))[:3])
+
+
+def _view(image: NDArray[np.float32], inside: tuple[float, float] | None) -> _View:
+    """Rectify the module by its outline alone and score each number of cells."""
+    best: _View | None = None
+    for outline in find_outlines(image, inside):
+        if outline.cut:
+            continue
+        pose, distance = fit_pose(outline, UNIT, image.shape, 0)
+        corners = outline.corners_px
+        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        if distance > 0.01 * sides.mean():
+            continue
+        side_x, side_y = sides[[0, 2]].mean(), sides[[1, 3]].mean()
+        view = _View(
+            image,
+            pose,
+            _line_scores(_rectified(image, pose, side_x, True), side_x),
+            _line_scores(_rectified(image, pose, side_y, False), side_y),
+            pose.aspect,
+        )
+        if best is None or _strength(view) > _strength(best):
+            best = view
+    if best is None:
+        raise OutlineError("the border of the image cuts the module")
+    return best
+
+
+def _strength(view: _View) -> float:
+    return float(view.across.max() * view.down.max())
+
+
+def _rectified(
+    image: NDArray[np.float32], pose: Pose, side_px: float, upright: bool
+) -> NDArray[np.float32]:
+    """See the module as a rectangle whose columns run along the lines that are sought."""
+    fine = int(np.clip(SAMPLES_PER_PX * side_px, *RECTIFIED_PX))
+    across, along = np.meshgrid(
+        (np.arange(fine) + 0.5) / fine, (np.arange(SAMPLES_ALONG) + 0.5) / SAMPLES_ALONG
+    )
+    points = np.stack([across, along] if upright else [along, across], axis=-1).reshape(-1, 2)
+    lookup = np.nan_to_num(pose.project(points), nan=-1e4).astype(np.float32)
+    lookup = lookup.reshape(*across.shape, 2)
+    rectified = cv2.remap(
+        image, lookup[..., 0], lookup[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(rectified, np.float32)
+
+
+def _line_profiles(rectified: NDArray[np.float32], lr_px: float) -> NDArray[np.float32]:
+    """How dark the line at each column is against its surroundings, 0 to 1, in bands along it.
+
+    The lines are a little bent yet, because the pose is that of the outline alone: within a band
+    that does not matter. `lr_px` is the number of columns per LR pixel.
+    """
+    smooth = cv2.blur(rectified, (max(1, round(lr_px)) | 1, 3))
+    depth = np.zeros(rectified.shape, np.float32)
+    for distance in VALLEYS_PX:
+        step = max(1, round(distance * lr_px))
+        padded = cv2.copyMakeBorder(smooth, 0, 0, step, step, cv2.BORDER_REPLICATE)
+        beside = np.minimum(padded[:, : -2 * step], padded[:, 2 * step :])
+        depth = np.maximum(depth, 1 - smooth / np.maximum(beside, 1e-4))
+    tolerance = 2 * max(1, round(0.5 * lr_px)) + 1
+    depth = np.asarray(cv2.dilate(depth, np.ones((1, tolerance), np.uint8)), np.float32)
+    bands = depth.reshape(BANDS, -1, depth.shape[1])
+    return np.asarray(np.median(bands, axis=1), np.float32)
+
+
+def _line_scores(rectified: NDArray[np.float32], side_px: float) -> Array:
+    """Score every number of cells n from 0 to `MAX_CELLS` along x, 0 to 1.
+
+    The score is the depth of the shallower lines at k / n, less that of the deepest line that
+    repeats in between, relative to the deepest lines there are.
+    """
+    width = rectified.shape[1]
+    profiles = _line_profiles(rectified, width / side_px)
+    scores = np.zeros(MAX_CELLS + 1)
+    depths = np.zeros(MAX_CELLS + 1)
+    for n in range(2, int(min(MAX_CELLS, side_px / MIN_CELL_PX)) + 1):
+        near = _widened(profiles, 0.1 * width / n)
+        depths[n] = np.quantile(_at(near, np.arange(1, n) / n), 0.25)
+        near = _widened(profiles, 0.03 * width / n)
+        cells = np.arange(n)
+        # Busbars lie symmetrically in a cell: seen in half cells, now on this side, now on that.
+        between = [
+            np.quantile(
+                np.maximum(_at(near, (cells + phase) / n), _at(near, (cells + 1 - phase) / n)), 0.4
+            )
+            for phase in BETWEEN
+        ]
+        scores[n] = depths[n] - max(between)
+    deepest = float(depths.max())
+    if deepest < MIN_DEPTH:
+        return np.zeros_like(scores)
+    return np.asarray(np.clip(scores / deepest, 0, 1))
+
+
+def _widened(profiles: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
+    kernel = np.ones((1, 2 * round(reach) + 1), np.uint8)
+    return np.asarray(cv2.dilate(profiles, kernel), np.float32)
+
+
+def _at(profiles: NDArray[np.float32], place: Array) -> Array:
+    """Depth of the lines at these places, which must hold along most of their length."""
+    columns = np.minimum((place * profiles.shape[1]).astype(int), profiles.shape[1] - 1)
+    return np.asarray(np.quantile(profiles[:, columns], LINE_QUANTILE, axis=0), np.float64)
+
+
+def _ranked(views: list[_View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
+    """Likely layouts with their scores, best first."""
+    across = np.mean([view.across for view in views], axis=0)
+    down = np.mean([view.down for view in views], axis=0)
+    ratio = float(np.median([view.ratio for view in views]))
+    table = down[:, None] * across[None, :]
+    rows, cols = np.nonzero(table > 0.02)
+    found = []
+    for n_rows, n_cols in zip(rows.tolist(), cols.tolist(), strict=True):
+        if n_rows != known.get("rows", n_rows) or n_cols != known.get("cols", n_cols):
+            continue
+        aspect, weight = _cell_aspect(ratio * n_rows / n_cols, known.get("cell_aspect"))
+        if weight > 0:
+            score = float(table[n_rows, n_cols]) * weight
+            found.append((ModuleLayout(n_rows, n_cols, aspect), score))
+    return sorted(found, key=lambda pair: -pair[1])[:MAX_CANDIDATES]
+
+
+def _cell_aspect(seen: float, known: float | None) -> tuple[float, float]:
+    """Cell aspect to take for a seen one, and how likely it is."""
+    usual = USUAL_ASPECTS if known is None else (known,)
+    nearest = min(usual, key=lambda aspect: abs(np.log(seen / aspect)))
+    distance = abs(np.log(seen / nearest))
+    weight = float(np.exp(-0.5 * (distance / ASPECT_SIGMA) ** 2))
+    if distance < np.log1p(SNAP):
+        return nearest, max(weight, UNUSUAL_WEIGHT)
+    if known is not None or not 0.25 <= seen <= 4:
+        return nearest, 0.0
+    return round(seen, 2), UNUSUAL_WEIGHT
+
+
+def _holds(views: list[_View], layout: ModuleLayout) -> bool:
+    """Whether the gaps of a layout are in place in at least half of a few frames."""
+    tried = views[:3]
+    held = 0
+    for view in tried:
+        try:
+            detect_in_frame(view.image, layout, view.pose.turned(UNIT.size, layout.size, 0))
+        except OutlineError:
+            continue
+        held += 1
+    return 2 * held > len(tried)
+
+
+def _words(layout: ModuleLayout) -> str:
+    return f"{layout.rows} x {layout.cols} cells"
