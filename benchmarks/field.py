@@ -21,13 +21,14 @@ from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import guess_layout
-from pv_inspect.progress import result_of
+from pv_inspect.progress import follow_fraction
 from pv_inspect.sequence import Sequence
 
 MUST_PX = 2.0
 
 
 def main() -> None:
+    """Print the error per photograph, and how many are good."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--guess", action="store_true", help="do not tell the rows and columns")
@@ -45,7 +46,7 @@ def _report(folder: Path, photo: dict[str, Any], guess: bool) -> bool:
         layout = ModuleLayout(photo["rows"], photo["cols"])
         if guess:
             layout = guess_layout(sequence).layout
-        frame = result_of(detect(sequence, layout)).frames[0]
+        frame = follow_fraction(detect(sequence, layout), "detecting", quiet=True).frames[0]
     except InspectionError as error:
         print(f"{photo['file']}  not found: {error}")
         return False
@@ -57,7 +58,7 @@ def _report(folder: Path, photo: dict[str, Any], guess: bool) -> bool:
         return False
     # The module looks the same turned by half a turn.
     error = min(
-        (np.linalg.norm(points - true, axis=1) for points in (frame.points_px, frame.points_px[::-1])),
+        (np.linalg.norm(frame.points_px[::way] - true, axis=1) for way in (1, -1)),
         key=lambda distance: float(distance.max()),
     )
     print(

@@ -68,8 +68,8 @@ class FrameCrossings:
 
     def turned(self, layout: ModuleLayout, quarter_turns: int) -> FrameCrossings:
         """Return the same points for a module turned as by `Pose.turned` of the same size."""
-        order = np.arange(layout.n_crossings).reshape(layout.rows + 1, layout.cols + 1)
-        order = np.rot90(order, quarter_turns).ravel()
+        index = np.arange(layout.n_crossings).reshape(layout.rows + 1, layout.cols + 1)
+        order = np.rot90(index, quarter_turns).ravel()
         return replace(
             self,
             points_px=self.points_px[order],

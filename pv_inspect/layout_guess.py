@@ -40,10 +40,14 @@ BANDS = 6
 BETWEEN = np.arange(0.2, 0.51, 0.05)
 VALLEYS_PX = (2.5, 5.0)
 """Distances at which a dark line is compared with what is beside it, LR pixels."""
-LINE_QUANTILE = 0.4
-"""A gap is dark along all of its length but for a few dead cells; a crack is not."""
+SHALLOW_BANDS = 2
+"""Bands in which a gap need not show: a few cells are dead. A crack ends sooner."""
 MIN_DEPTH = 0.05
 MIN_CONFIDENCE = 0.2
+MAX_DISTANCE = 0.01
+"""Median distance of the contour from a rectangle, in lengths of a side."""
+CLEAR = 0.25
+CHECKED_FRAMES = 3
 UNIT = ModuleLayout(1, 1)
 
 
@@ -127,7 +131,13 @@ def guess_layout(
             f"({reason}): give rows and cols."
         )
     candidates = _ranked(views, known or {})
-    good = [(layout, score) for layout, score in candidates if _holds(views, layout)]
+    # Even a guess with half of the lines brings the pose that shows all of them sharply.
+    for layout, _ in candidates:
+        sharper = _sharpened(views, layout)
+        if sharper:
+            candidates = _ranked(sharper, known or {})
+            break
+    good = [pair for pair in candidates if _sharpened(views, pair[0])]
     confidence = 0.0
     if good:
         rest = good[1][1] if len(good) > 1 else 0.0
@@ -144,29 +154,41 @@ def guess_layout(
 
 
 def _view(image: NDArray[np.float32], inside: tuple[float, float] | None) -> _View:
-    """Rectify the module by its outline alone and score each number of cells."""
+    """Take the outline in which the lines of a grid are clearest."""
     best: _View | None = None
     for outline in find_outlines(image, inside):
         if outline.cut:
             continue
         pose, distance = fit_pose(outline, UNIT, image.shape, 0)
-        corners = outline.corners_px
-        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-        if distance > 0.01 * sides.mean():
+        view = _scored(image, pose)
+        if distance > MAX_DISTANCE * np.sqrt(cv2.contourArea(_corners(pose))):
             continue
-        side_x, side_y = sides[[0, 2]].mean(), sides[[1, 3]].mean()
-        view = _View(
-            image,
-            pose,
-            _line_scores(_rectified(image, pose, side_x, True), side_x),
-            _line_scores(_rectified(image, pose, side_y, False), side_y),
-            pose.aspect,
-        )
         if best is None or _strength(view) > _strength(best):
             best = view
+        if _strength(best) > CLEAR:
+            break
     if best is None:
         raise OutlineError("the border of the image cuts the module")
     return best
+
+
+def _corners(pose: Pose) -> NDArray[np.float32]:
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    return np.nan_to_num(pose.project(square)).astype(np.float32)
+
+
+def _scored(image: NDArray[np.float32], pose: Pose) -> _View:
+    """Score each number of cells on the module seen through a pose of the unit square."""
+    corners = _corners(pose)
+    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    across_px, down_px = float(sides[[0, 2]].mean()), float(sides[[1, 3]].mean())
+    return _View(
+        image,
+        pose,
+        _line_scores(_rectified(image, pose, across_px, True), across_px),
+        _line_scores(_rectified(image, pose, down_px, False), down_px),
+        pose.aspect,
+    )
 
 
 def _strength(view: _View) -> float:
@@ -220,33 +242,31 @@ def _line_scores(rectified: NDArray[np.float32], side_px: float) -> Array:
     scores = np.zeros(MAX_CELLS + 1)
     depths = np.zeros(MAX_CELLS + 1)
     for n in range(2, int(min(MAX_CELLS, side_px / MIN_CELL_PX)) + 1):
-        near = _widened(profiles, 0.1 * width / n)
-        depths[n] = np.quantile(_at(near, np.arange(1, n) / n), 0.25)
-        near = _widened(profiles, 0.03 * width / n)
+        lines = _along(profiles, 0.1 * width / n)[_columns(np.arange(1, n) / n, width)]
+        depths[n] = np.quantile(lines, 0.25)
+        within = _along(profiles, 0.03 * width / n)
         cells = np.arange(n)
         # Busbars lie symmetrically in a cell: seen in half cells, now on this side, now on that.
-        between = [
-            np.quantile(
-                np.maximum(_at(near, (cells + phase) / n), _at(near, (cells + 1 - phase) / n)), 0.4
-            )
-            for phase in BETWEEN
-        ]
-        scores[n] = depths[n] - max(between)
+        one, other = (
+            within[_columns((cells + phase[:, None]) / n, width)]
+            for phase in (BETWEEN, 1 - BETWEEN)
+        )
+        scores[n] = depths[n] - np.quantile(np.maximum(one, other), 0.4, axis=1).max()
     deepest = float(depths.max())
     if deepest < MIN_DEPTH:
         return np.zeros_like(scores)
     return np.asarray(np.clip(scores / deepest, 0, 1))
 
 
-def _widened(profiles: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
+def _along(profiles: NDArray[np.float32], reach: float) -> Array:
+    """Depth of the line within `reach` of each column, which must hold along most of its length."""
     kernel = np.ones((1, 2 * round(reach) + 1), np.uint8)
-    return np.asarray(cv2.dilate(profiles, kernel), np.float32)
+    near = np.asarray(cv2.dilate(profiles, kernel), np.float64)
+    return np.asarray(np.partition(near, SHALLOW_BANDS, axis=0)[SHALLOW_BANDS])
 
 
-def _at(profiles: NDArray[np.float32], place: Array) -> Array:
-    """Depth of the lines at these places, which must hold along most of their length."""
-    columns = np.minimum((place * profiles.shape[1]).astype(int), profiles.shape[1] - 1)
-    return np.asarray(np.quantile(profiles[:, columns], LINE_QUANTILE, axis=0), np.float64)
+def _columns(place: Array, width: int) -> NDArray[np.int64]:
+    return np.minimum((place * width).astype(np.int64), width - 1)
 
 
 def _ranked(views: list[_View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
@@ -280,17 +300,21 @@ def _cell_aspect(seen: float, known: float | None) -> tuple[float, float]:
     return round(seen, 2), UNUSUAL_WEIGHT
 
 
-def _holds(views: list[_View], layout: ModuleLayout) -> bool:
-    """Whether the gaps of a layout are in place in at least half of a few frames."""
-    tried = views[:3]
-    held = 0
+def _sharpened(views: list[_View], layout: ModuleLayout) -> list[_View]:
+    """Score some frames again with poses refined on the gaps of a layout.
+
+    Returns an empty list unless the gaps are in place in most of these frames.
+    """
+    held = []
+    tried = views[:CHECKED_FRAMES]
     for view in tried:
+        start = view.pose.turned(UNIT.size, layout.size, 0)
         try:
-            detect_in_frame(view.image, layout, view.pose.turned(UNIT.size, layout.size, 0))
+            pose, _ = detect_in_frame(view.image, layout, start)
         except OutlineError:
             continue
-        held += 1
-    return 2 * held > len(tried)
+        held.append(_scored(view.image, pose.turned(layout.size, UNIT.size, 0)))
+    return held if 2 * len(held) > len(tried) else []
 
 
 def _words(layout: ModuleLayout) -> str:

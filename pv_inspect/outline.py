@@ -267,9 +267,9 @@ def _components(
         return
     areas = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
     distances = {}
-    for label in np.flatnonzero(areas > LARGE_SHARE * areas.max()) + 1:
+    for label in (np.flatnonzero(areas > LARGE_SHARE * areas.max()) + 1).tolist():
         pixels = np.argwhere(labels == label)[:, ::-1]
-        distances[int(label)] = float(np.linalg.norm(pixels - wanted, axis=1).min())
+        distances[label] = float(np.linalg.norm(pixels - wanted, axis=1).min())
     order = sorted(distances, key=lambda label: distances[label])
     for label in order[: 1 if strict else MAX_COMPONENTS]:
         yield np.asarray(labels == label, np.uint8)
