@@ -19,8 +19,9 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
 
-__all__ = ["LayoutGuess", "guess_layout"]
+__all__ = ["LayoutGuess", "guess_layout", "is_known"]
 
 Array = NDArray[np.float64]
 
@@ -87,18 +88,18 @@ class _View:
 
 def guess_layout(
     sequence: Sequence,
+    settings: Settings | None = None,
     inside: tuple[float, float] | None = None,
-    known: dict[str, float] | None = None,
 ) -> LayoutGuess:
     """Guess rows, columns and cell aspect of the module that the frames show.
 
     Parameters
     ----------
     sequence : Sequence
+    settings : Settings, optional
+        The guess keeps to what they, or else ``module.json``, say of rows, cols and cell_aspect.
     inside : tuple of float, optional
         (x, y) of a point in the wanted module, LR pixels.
-    known : dict, optional
-        What is known of "rows", "cols", "cell_aspect"; the guess keeps to it.
 
     Returns
     -------
@@ -109,6 +110,7 @@ def guess_layout(
     InspectionError
         If no frame shows a whole module, or its gaps do not tell how many cells it has.
     """
+    known = _known(sequence, settings or Settings())
     views: list[_View] = []
     reason = "no frame"
     picks = np.unique(np.linspace(0, len(sequence) - 1, min(len(sequence), 2 * MAX_FRAMES)).round())
@@ -128,14 +130,14 @@ def guess_layout(
     if not views:
         raise InspectionError(
             f"The rows and columns of cells can't be guessed, no frame shows a whole module "
-            f"({reason}): give rows and cols."
+            f"({reason}): give rows and cols (--rows, --cols)."
         )
-    candidates = _ranked(views, known or {})
+    candidates = _ranked(views, known)
     # Even a guess with half of the lines brings the pose that shows all of them sharply.
     for layout, _ in candidates:
         sharper = _sharpened(views, layout)
         if sharper:
-            candidates = _ranked(sharper, known or {})
+            candidates = _ranked(sharper, known)
             break
     good = [pair for pair in candidates if _sharpened(views, pair[0])]
     confidence = 0.0
@@ -147,10 +149,20 @@ def guess_layout(
         raise InspectionError(
             "The rows and columns of cells can't be guessed with confidence"
             + (f" ({seen} perhaps)" if seen else "")
-            + ": give rows and cols."
+            + ": give rows and cols (--rows, --cols)."
         )
     others = tuple(layout for layout, _ in [*good[1:], *candidates] if layout != good[0][0])
     return LayoutGuess(good[0][0], confidence, tuple(dict.fromkeys(others))[:3])
+
+
+def is_known(sequence: Sequence, settings: Settings) -> bool:
+    """Whether the settings or ``module.json`` give both rows and columns."""
+    return _known(sequence, settings).keys() >= {"rows", "cols"}
+
+
+def _known(sequence: Sequence, settings: Settings) -> dict[str, float]:
+    given = {key: getattr(settings, key) for key in ("rows", "cols", "cell_aspect")}
+    return {**sequence.layout_hint, **{k: v for k, v in given.items() if v is not None}}
 
 
 def _view(image: NDArray[np.float32], inside: tuple[float, float] | None) -> _View:
@@ -227,8 +239,8 @@ def _line_profiles(rectified: NDArray[np.float32], lr_px: float) -> NDArray[np.f
         depth = np.maximum(depth, 1 - smooth / np.maximum(beside, 1e-4))
     tolerance = 2 * max(1, round(0.5 * lr_px)) + 1
     depth = np.asarray(cv2.dilate(depth, np.ones((1, tolerance), np.uint8)), np.float32)
-    bands = depth.reshape(BANDS, -1, depth.shape[1])
-    return np.asarray(np.median(bands, axis=1), np.float32)
+    bands = [np.median(band, axis=0) for band in np.array_split(depth, BANDS)]
+    return np.asarray(bands, np.float32)
 
 
 def _line_scores(rectified: NDArray[np.float32], side_px: float) -> Array:
