@@ -38,7 +38,10 @@ RECTIFIED_PX = (300, 2400)
 SAMPLES_PER_PX = 1.5
 SAMPLES_ALONG = 240
 BANDS = 6
-BETWEEN = np.arange(0.2, 0.51, 0.05)
+BETWEEN = np.arange(0.15, 0.851, 0.05)
+FINER = (2, 3, 4, 5)
+BUSBAR_WEIGHT = 0.25
+MIN_SCORE = 0.02
 VALLEYS_PX = (2.5, 5.0)
 """Distances at which a dark line is compared with what is beside it, LR pixels."""
 SHALLOW_BANDS = 2
@@ -72,13 +75,25 @@ class LayoutGuess:
 
 
 @dataclass(frozen=True)
+class _Lines:
+    """How well each number of cells n fits along one direction.
+
+    `base` (n,) is the score, 0 to 1; `finer` (n, m) the depth of the lines that would divide each
+    cell into `FINER` [m] ones.
+    """
+
+    base: Array
+    finer: Array
+
+
+@dataclass(frozen=True)
 class _View:
     """One frame: the module as the unit square, and how well each number of cells fits."""
 
     image: NDArray[np.float32]
     pose: Pose
-    across: Array
-    down: Array
+    across: _Lines
+    down: _Lines
     ratio: float
 
     def turned(self) -> _View:
@@ -204,7 +219,7 @@ def _scored(image: NDArray[np.float32], pose: Pose) -> _View:
 
 
 def _strength(view: _View) -> float:
-    return float(view.across.max() * view.down.max())
+    return float(view.across.base.max() * view.down.base.max())
 
 
 def _rectified(
@@ -243,31 +258,44 @@ def _line_profiles(rectified: NDArray[np.float32], lr_px: float) -> NDArray[np.f
     return np.asarray(bands, np.float32)
 
 
-def _line_scores(rectified: NDArray[np.float32], side_px: float) -> Array:
-    """Score every number of cells n from 0 to `MAX_CELLS` along x, 0 to 1.
+def _line_scores(rectified: NDArray[np.float32], side_px: float) -> _Lines:
+    """Score every number of cells n from 0 to `MAX_CELLS` along x.
 
-    The score is the depth of the shallower lines at k / n, less that of the deepest line that
-    repeats in between, relative to the deepest lines there are.
+    Relative to the deepest lines there are, the score is the depth of the shallower lines at k / n,
+    less what differs between one cell and the next, less a little for other lines in the cells.
     """
     width = rectified.shape[1]
     profiles = _line_profiles(rectified, width / side_px)
-    scores = np.zeros(MAX_CELLS + 1)
+    base = np.zeros(MAX_CELLS + 1)
     depths = np.zeros(MAX_CELLS + 1)
+    finer = np.zeros((MAX_CELLS + 1, len(FINER)))
     for n in range(2, int(min(MAX_CELLS, side_px / MIN_CELL_PX)) + 1):
         lines = _along(profiles, 0.1 * width / n)[_columns(np.arange(1, n) / n, width)]
-        depths[n] = np.quantile(lines, 0.25)
+        depths[n] = np.quantile(lines, 0.15)
         within = _along(profiles, 0.03 * width / n)
-        cells = np.arange(n)
-        # Busbars lie symmetrically in a cell: seen in half cells, now on this side, now on that.
-        one, other = (
-            within[_columns((cells + phase[:, None]) / n, width)]
-            for phase in (BETWEEN, 1 - BETWEEN)
-        )
-        scores[n] = depths[n] - np.quantile(np.maximum(one, other), 0.4, axis=1).max()
+
+        def typical(phase: Array, n: int = n, within: Array = within) -> tuple[Array, Array]:
+            cells = np.arange(n)
+            one = within[_columns((cells + phase[:, None]) / n, width)]
+            other = within[_columns((cells + 1 - phase[:, None]) / n, width)]
+            either = np.quantile(np.maximum(one, other), 0.4, axis=1)
+            return np.quantile(one, 0.4, axis=1), either
+
+        one, either = typical(BETWEEN)
+        # Busbars lie symmetrically in a cell: half cells see them now on this side, now on that.
+        mirrored = np.maximum(one, one[::-1])
+        base[n] = depths[n] - (either - mirrored).max() - BUSBAR_WEIGHT * mirrored.max()
+        for k, factor in enumerate(FINER):
+            finer[n, k] = typical(np.arange(1, factor) / factor)[0].min()
+    for k, factor in enumerate(FINER):
+        # Lines that make no even grid of their own are busbars, however dark.
+        even = np.zeros_like(base)
+        even[: MAX_CELLS // factor + 1] = base[::factor][: MAX_CELLS // factor + 1]
+        finer[:, k] = np.clip(np.minimum(finer[:, k], even), 0, None)
     deepest = float(depths.max())
     if deepest < MIN_DEPTH:
-        return np.zeros_like(scores)
-    return np.asarray(np.clip(scores / deepest, 0, 1))
+        return _Lines(np.zeros_like(base), np.zeros_like(finer))
+    return _Lines(np.clip(base / deepest, 0, 1), finer / deepest)
 
 
 def _along(profiles: NDArray[np.float32], reach: float) -> Array:
@@ -283,20 +311,30 @@ def _columns(place: Array, width: int) -> NDArray[np.int64]:
 
 def _ranked(views: list[_View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
     """Likely layouts with their scores, best first."""
-    across = np.mean([view.across for view in views], axis=0)
-    down = np.mean([view.down for view in views], axis=0)
+    across = np.mean([view.across.base for view in views], axis=0)
+    down = np.mean([view.down.base for view in views], axis=0)
+    finer_across = np.mean([view.across.finer for view in views], axis=0)
+    finer_down = np.mean([view.down.finer for view in views], axis=0)
     ratio = float(np.median([view.ratio for view in views]))
-    table = down[:, None] * across[None, :]
-    rows, cols = np.nonzero(table > 0.02)
+    factors = np.array(FINER, np.float64)
     found = []
-    for n_rows, n_cols in zip(rows.tolist(), cols.tolist(), strict=True):
+    for n_rows, n_cols in np.argwhere(down[:, None] * across[None, :] > MIN_SCORE).tolist():
         if n_rows != known.get("rows", n_rows) or n_cols != known.get("cols", n_cols):
             continue
-        aspect, weight = _cell_aspect(ratio * n_rows / n_cols, known.get("cell_aspect"))
-        if weight > 0:
-            score = float(table[n_rows, n_cols]) * weight
-            found.append((ModuleLayout(n_rows, n_cols, aspect), score))
+        seen = ratio * n_rows / n_cols
+        aspect, weight = _cell_aspect(seen, known.get("cell_aspect"))
+        score = weight
+        score *= down[n_rows] - (_usual(seen * factors) * finer_down[n_rows]).max()
+        score *= max(across[n_cols] - (_usual(seen / factors) * finer_across[n_cols]).max(), 0.0)
+        if score > MIN_SCORE:
+            found.append((ModuleLayout(n_rows, n_cols, aspect), float(score)))
     return sorted(found, key=lambda pair: -pair[1])[:MAX_CANDIDATES]
+
+
+def _usual(aspects: Array) -> Array:
+    """Weight of gaps that would make cells of these aspects: busbars make unusual ones."""
+    distance = np.abs(np.log(aspects[:, None] / np.array(USUAL_ASPECTS))).min(axis=1)
+    return np.where(distance < np.log1p(SNAP), 1.0, 0.5)
 
 
 def _cell_aspect(seen: float, known: float | None) -> tuple[float, float]:

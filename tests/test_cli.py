@@ -129,9 +129,7 @@ def test_frames_without_a_module_are_one_sentence(frames: Path, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
-def test_rows_and_columns_that_can_not_be_guessed_are_one_sentence(
-    frames: Path, tmp_path: Path
-) -> None:
+def test_rows_and_columns_that_cannot_be_guessed_are_refused(frames: Path, tmp_path: Path) -> None:
     (frames / "module.json").unlink()
     refused(called("run", frames, "--out", tmp_path / "out"), "can't be guessed.*--rows")
 

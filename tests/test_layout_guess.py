@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from pv_inspect.simulate import SimulationSettings, simulated
 def _in_memory(frames: list[np.ndarray]) -> Any:
     class Frames:
         names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
-        layout_hint: dict[str, float] = {}
+        layout_hint: ClassVar[dict[str, float]] = {}
 
         def __len__(self) -> int:
             return len(frames)
