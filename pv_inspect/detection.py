@@ -36,6 +36,7 @@ MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
+MIN_SEARCH_PX = 1.2
 SAMPLES_PER_CELL = 4
 
 
@@ -182,9 +183,11 @@ def detect_in_frame(
     """
     edges = cell_edges(layout)
     pose = start
+    # In small cells a share of the cell is less than what noise moves a gap by.
+    least = MIN_SEARCH_PX / _scale_px(layout, start)
     for search in SEARCH_UNITS:
-        pose = _refine(pose, edges, measure_edges(image, edges, pose, search))
-    offsets = measure_edges(image, edges, pose, SEARCH_UNITS[-1])
+        pose = _refine(pose, edges, measure_edges(image, edges, pose, max(search, least)))
+    offsets = measure_edges(image, edges, pose, max(SEARCH_UNITS[-1], least))
     share = _share_in_place(edges, offsets, pose)
     if share < MIN_EDGE_SHARE:
         raise OutlineError(
@@ -307,6 +310,13 @@ def _coarse_picture(
     around = 3 * SAMPLES_PER_CELL
     values = values - cv2.blur(values, (around, around), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(values / (values.std() + 1e-12), np.float32)
+
+
+def _scale_px(layout: ModuleLayout, pose: Pose) -> float:
+    """LR pixels per module unit in the middle of the module."""
+    middle = np.array([layout.size]) / 2
+    jacobian = pose.camera.jacobian(pose.homography, middle)[0]
+    return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
 
 
 def _share_in_place(edges: CellEdges, offsets: EdgeOffsets, pose: Pose) -> float:

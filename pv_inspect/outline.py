@@ -180,9 +180,9 @@ def find_outlines(
                 cut.append(outline)
             else:
                 yield outline
-    yield from cut[:1]
-    if filling and not cut:
+    if filling:
         raise OutlineError("no module outline: the bright area fills the frame")
+    yield from cut[:1]
     if largest < MIN_AREA_SHARE:
         raise OutlineError(
             f"no module: the largest bright area covers {100 * largest:.1f} % of the frame"

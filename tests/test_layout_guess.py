@@ -29,8 +29,8 @@ def _in_memory(frames: list[np.ndarray]) -> Any:
 
 
 def _simulated(**settings: Any) -> Any:
-    values = {"n_frames": 1, "width": 400, "height": 320, "pixels_per_unit": 90} | settings
-    simulation = simulated(SimulationSettings(supersampling=4, **values))
+    values = {"n_frames": 1, "width": 320, "height": 256, "pixels_per_unit": 80} | settings
+    simulation = simulated(SimulationSettings(supersampling=3, **values))
     return _in_memory([(frame.astype(np.float32) - 64) / 4031 for frame in simulation.frames])
 
 
@@ -82,9 +82,9 @@ def test_a_bright_area_without_gaps_is_refused_in_one_sentence() -> None:
         guess_layout(_in_memory([picture[:, 100:]]))
 
 
-@pytest.mark.parametrize("name", ["D2", "D5", "D6"])
+@pytest.mark.parametrize("name", ["D2", "D5"])
 def test_the_layout_of_the_shared_sequences_is_guessed(shared_sequences: Path, name: str) -> None:
-    frames = sorted((shared_sequences / name / "frames").iterdir())[:2]
+    frames = sorted((shared_sequences / name / "frames").iterdir())[:1]
     sequence = Sequence.open(frames)
     told = Sequence.open(shared_sequences / name).layout(Settings())
     assert guess_layout(sequence).layout == told
