@@ -47,7 +47,7 @@ VALLEYS_PX = (2.5, 5.0)
 SHALLOW_BANDS = 2
 """Bands in which a gap need not show: a few cells are dead. A crack ends sooner."""
 MIN_DEPTH = 0.05
-MIN_CONFIDENCE = 0.2
+MIN_CONFIDENCE = 0.4
 MAX_DISTANCE = 0.01
 """Median distance of the contour from a rectangle, in lengths of a side."""
 CLEAR = 0.25
@@ -64,7 +64,7 @@ class LayoutGuess:
     layout : ModuleLayout
         The most likely one.
     confidence : float
-        1 - score of the next best layout / score of this one, 0 to 1.
+        1 - score of the next best layout / score of this one, less where no grid is clear; 0 to 1.
     alternatives : tuple of ModuleLayout
         Other layouts, more likely ones first.
     """
@@ -158,7 +158,7 @@ def guess_layout(
     confidence = 0.0
     if good:
         rest = good[1][1] if len(good) > 1 else 0.0
-        confidence = 1.0 - rest / good[0][1]
+        confidence = min(1.0, good[0][1] / CLEAR) * (1.0 - rest / good[0][1])
     if confidence < MIN_CONFIDENCE:
         seen = " or ".join(_words(layout) for layout, _ in (good or candidates)[:2])
         raise InspectionError(
