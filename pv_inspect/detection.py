@@ -20,7 +20,7 @@ from pv_inspect.camera import Camera
 from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import Outline, OutlineError, Pose, find_outline, fit_pose
+from pv_inspect.outline import Outline, OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.sequence import Sequence
 
 __all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
@@ -35,6 +35,8 @@ MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
+MIN_SEARCH_PX = 1.2
+SAMPLES_PER_CELL = 4
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,20 @@ class FrameCrossings:
         n = layout.n_crossings
         return cls(np.full((n, 2), np.nan), np.full(n, np.inf), np.zeros(n, bool), why)
 
+    def turned(self, layout: ModuleLayout, quarter_turns: int) -> FrameCrossings:
+        """Return the same points for a module turned as by `Pose.turned` of the same size."""
+        index = np.arange(layout.n_crossings).reshape(layout.rows + 1, layout.cols + 1)
+        order = np.rot90(index, quarter_turns).ravel()
+        return replace(
+            self,
+            points_px=self.points_px[order],
+            sigma_px=self.sigma_px[order],
+            measured=self.measured[order],
+        )
+
+
+Found = tuple[Pose, FrameCrossings]
+
 
 @dataclass(frozen=True)
 class Crossings:
@@ -73,16 +89,21 @@ class Crossings:
     frames: tuple[FrameCrossings, ...]
 
 
-def detect(sequence: Sequence, layout: ModuleLayout) -> Generator[float, None, Crossings]:
+def detect(
+    sequence: Sequence, layout: ModuleLayout, inside: tuple[float, float] | None = None
+) -> Generator[float, None, Crossings]:
     """Find the crossing points in every frame.
 
     A frame in which the module is cut by the image border, or whose outline fails, is found again
-    from the nearest frame that succeeded.
+    from the nearest frame that succeeded. All frames are brought to the same way up.
 
     Parameters
     ----------
     sequence : Sequence
     layout : ModuleLayout
+    inside : tuple of float, optional
+        (x, y) of a point in the wanted module, LR pixels, for frames that show several; by
+        default the completely visible module nearest to the centre.
 
     Yields
     ------
@@ -99,17 +120,12 @@ def detect(sequence: Sequence, layout: ModuleLayout) -> Generator[float, None, C
         If no frame shows a module of that layout.
     """
     count = len(sequence)
-    found: dict[int, tuple[Pose, FrameCrossings]] = {}
+    found: dict[int, Found] = {}
     reasons: dict[int, str] = {}
-    turns: int | None = None
     for index in range(count):
         image = sequence.frame(index).image
         try:
-            outline = find_outline(image)
-            if outline.cut:
-                raise OutlineError("the border of the image cuts the module")
-            pose, turns = _orient(image, outline, layout, turns)
-            found[index] = detect_in_frame(image, layout, pose)
+            found[index] = _find_module(image, layout, inside)
         except OutlineError as error:
             reasons[index] = str(error)
         yield 0.8 * (index + 1) / count
@@ -131,6 +147,7 @@ def detect(sequence: Sequence, layout: ModuleLayout) -> Generator[float, None, C
             f"No frame shows a module of {layout.rows} rows x {layout.cols} columns "
             f"({sequence.names[first]}: {reasons[first]}): check the frames, rows and cols."
         )
+    _same_way_up(sequence, layout, found)
     return Crossings(
         layout,
         tuple(
@@ -165,9 +182,11 @@ def detect_in_frame(
     """
     edges = cell_edges(layout)
     pose = start
+    # In small cells a share of the cell is less than what noise moves a gap by.
+    least = MIN_SEARCH_PX / _scale_px(layout, start)
     for search in SEARCH_UNITS:
-        pose = _refine(pose, edges, measure_edges(image, edges, pose, search))
-    offsets = measure_edges(image, edges, pose, SEARCH_UNITS[-1])
+        pose = _refine(pose, edges, measure_edges(image, edges, pose, max(search, least)))
+    offsets = measure_edges(image, edges, pose, max(SEARCH_UNITS[-1], least))
     share = _share_in_place(edges, offsets, pose)
     if share < MIN_EDGE_SHARE:
         raise OutlineError(
@@ -181,31 +200,90 @@ def detect_in_frame(
     return pose, _crossings(layout, edges, offsets, pose)
 
 
-def _orient(
-    image: NDArray[np.float32], outline: Outline, layout: ModuleLayout, turns: int | None
-) -> tuple[Pose, int]:
-    """Fit the outline in the orientation that the aspect of the module demands."""
-    corners = outline.corners_px
-    sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    across, down = sides[[0, 2]].mean(), sides[[1, 3]].mean()
-    width, height = layout.size
-    candidates = (0, 1) if turns is None else (turns,)
-    errors = {
-        turn: abs(np.log((across / down if turn % 2 == 0 else down / across) / (width / height)))
-        for turn in candidates
-    }
-    best = min(errors, key=lambda turn: errors[turn])
-    if errors[best] > np.log(MAX_ASPECT_RATIO_ERROR):
+def _find_module(
+    image: NDArray[np.float32], layout: ModuleLayout, inside: tuple[float, float] | None
+) -> Found:
+    """Take the first outline in which the gaps of the layout are in place."""
+    first: OutlineError | None = None
+    for outline in find_outlines(image, inside):
+        try:
+            if outline.cut:
+                raise OutlineError("the border of the image cuts the module")
+            for start in _starts(image.shape, outline, layout):
+                try:
+                    return detect_in_frame(image, layout, start)
+                except OutlineError as error:
+                    first = first or error
+        except OutlineError as error:
+            first = first or error
+    raise first or OutlineError("no module")
+
+
+def _starts(shape: tuple[int, int], outline: Outline, layout: ModuleLayout) -> list[Pose]:
+    """Fit the outline; return the orientations that the aspect of the module allows."""
+    pose, distance = fit_pose(outline, layout, shape, 0)
+    ratio = layout.size[0] / layout.size[1]
+    seen = pose.aspect * ratio
+    starts = [pose, pose.turned(layout.size, layout.size, 1)]
+    errors = [abs(np.log(seen / ratio)), abs(np.log(seen * ratio))]
+    if min(errors) > np.log(MAX_ASPECT_RATIO_ERROR):
         raise OutlineError(
-            f"the module is {max(across, down) / min(across, down):.2f} times as long as wide, "
-            f"but {layout.rows} x {layout.cols} cells of aspect {layout.cell_aspect:g} make "
-            f"{max(width, height) / min(width, height):.2f}"
+            f"the module is {max(seen, 1 / seen):.2f} times as long as wide, but "
+            f"{layout.rows} x {layout.cols} cells of aspect {layout.cell_aspect:g} make "
+            f"{max(ratio, 1 / ratio):.2f}"
         )
-    pose, distance = fit_pose(outline, layout, image.shape, best)
-    scale = float(np.sqrt(across * down / (width * height)))
-    if distance > 0.15 * scale:
+    width, height = layout.size
+    corners = pose.project(np.array([[0, 0], [width, 0], [width, height], [0, height]]))
+    area = cv2.contourArea(np.nan_to_num(corners).astype(np.float32))
+    if distance > 0.15 * np.sqrt(area / (width * height)):
         raise OutlineError(f"the outline is no rectangle (median distance {distance:.1f} px)")
-    return pose, best
+    order = np.argsort(errors)
+    return [starts[k] for k in order if errors[k] <= np.log(MAX_ASPECT_RATIO_ERROR)]
+
+
+def _same_way_up(sequence: Sequence, layout: ModuleLayout, found: dict[int, Found]) -> None:
+    """Turn the frames so that all show the same cells at the same places of the module.
+
+    The outline looks the same turned by half a turn; the brightness of the cells does not.
+    """
+    square = layout.rows == layout.cols and layout.cell_aspect == 1.0
+    known: NDArray[np.float32] | None = None
+    for index in sorted(found):
+        pose, frame = found[index]
+        picture = _coarse_picture(sequence.frame(index).image, layout, pose)
+        turns = (0, 1, 2, 3) if square else (0, 2)
+        if known is None:
+            known = picture
+            continue
+        likeness = [float((known * np.rot90(picture, turn)).sum()) for turn in turns]
+        turn = turns[int(np.argmax(likeness))]
+        known = known + np.rot90(picture, turn)
+        if turn:
+            found[index] = pose.turned(layout.size, layout.size, turn), frame.turned(layout, turn)
+
+
+def _coarse_picture(
+    image: NDArray[np.float32], layout: ModuleLayout, pose: Pose
+) -> NDArray[np.float32]:
+    """Brightness of parts of the cells against their surroundings, standard deviation 1."""
+    shape = (SAMPLES_PER_CELL * layout.rows, SAMPLES_PER_CELL * layout.cols)
+    y, x = (np.mgrid[0 : shape[0], 0 : shape[1]] + 0.5) / SAMPLES_PER_CELL
+    points = np.column_stack([x.ravel(), y.ravel() / layout.cell_aspect])
+    pixels = np.nan_to_num(pose.project(points), nan=-1e4).astype(np.float32).reshape(*shape, 2)
+    smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
+    values = cv2.remap(
+        smooth, pixels[..., 0], pixels[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
+    around = 3 * SAMPLES_PER_CELL
+    values = values - cv2.blur(values, (around, around), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(values / (values.std() + 1e-12), np.float32)
+
+
+def _scale_px(layout: ModuleLayout, pose: Pose) -> float:
+    """LR pixels per module unit in the middle of the module."""
+    middle = np.array([layout.size]) / 2
+    jacobian = pose.camera.jacobian(pose.homography, middle)[0]
+    return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
 
 
 def _share_in_place(edges: CellEdges, offsets: EdgeOffsets, pose: Pose) -> float:

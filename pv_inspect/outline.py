@@ -6,6 +6,7 @@ refines it on the gaps between the cells.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -16,10 +17,22 @@ from scipy.optimize import least_squares
 from pv_inspect.camera import Camera
 from pv_inspect.layout import ModuleLayout
 
-__all__ = ["Outline", "OutlineError", "Pose", "conventional_camera", "find_outline", "fit_pose"]
+__all__ = [
+    "Outline",
+    "OutlineError",
+    "Pose",
+    "conventional_camera",
+    "find_outline",
+    "find_outlines",
+    "fit_pose",
+]
 
 Array = NDArray[np.float64]
 MIN_AREA_SHARE = 0.02
+LARGE_SHARE = 0.3
+MAX_COMPONENTS = 3
+CLOSINGS_PX = (9, 7, 5, 3)
+"""Widths of gaps that are closed when the generous first one does not show the module."""
 
 
 class OutlineError(Exception):
@@ -40,6 +53,36 @@ class Pose:
     def unproject(self, pixels: Array) -> Array:
         """Pixels (n, 2) to module points (n, 2)."""
         return self.camera.unproject(self.homography, pixels)
+
+    def turned(
+        self, size: tuple[float, float], new_size: tuple[float, float], quarter_turns: int
+    ) -> Pose:
+        """Put another rectangle, or the same one turned, onto the same place of the image.
+
+        Parameters
+        ----------
+        size, new_size : tuple of float
+            Width and height of the module of this pose, and of the returned one.
+        quarter_turns : int
+            Which corner of this module becomes the top left one, counted clockwise.
+
+        Returns
+        -------
+        Pose
+        """
+        turn = np.linalg.matrix_power(np.array([[0.0, -1, 1], [1, 0, 0], [0, 0, 1]]), quarter_turns)
+        scale, new_scale = np.diag([*size, 1.0]), np.diag([*new_size, 1.0])
+        return Pose(self.camera, self.homography @ scale @ turn @ np.linalg.inv(new_scale))
+
+    @property
+    def aspect(self) -> float:
+        """Length of the module's unit along x / along y, in truth, from the perspective.
+
+        The columns of K^-1 H of a plane are r1 and r2 of the rotation, times its units. It is as
+        good as the focal length is known; without tilt that does not matter.
+        """
+        across, down = np.linalg.norm(self.homography[:, :2], axis=0)
+        return float(across / down)
 
 
 @dataclass(frozen=True)
@@ -70,16 +113,37 @@ def conventional_camera(shape: tuple[int, int], kappa: float = 0.0) -> Camera:
 
 
 def find_outline(image: NDArray[np.float32]) -> Outline:
-    """Segment the module from the dark background and take its contour.
+    """Return the first of `find_outlines`: what most likely is the module.
+
+    Raises
+    ------
+    OutlineError
+        If the frame is black, saturated, or shows nothing that is bright and large enough.
+    """
+    return next(find_outlines(image))
+
+
+def find_outlines(
+    image: NDArray[np.float32], inside: tuple[float, float] | None = None
+) -> Iterator[Outline]:
+    """Segment what may be the module from the dark background and take its contour.
+
+    How wide a gap between cells is compared with one between modules is not known beforehand:
+    first all gaps are closed generously, then less and less, so that modules of one string come
+    apart. Whoever knows the rows and columns takes the first outline that holds them.
 
     Parameters
     ----------
     image : (height, width) float32
         Frame, full scale = 1.
+    inside : tuple of float, optional
+        (x, y) of a point in the wanted module, LR pixels. By default the wanted module is the
+        one nearest to the centre of the frame that the frame shows completely.
 
-    Returns
-    -------
+    Yields
+    ------
     Outline
+        Complete ones first for every way of closing the gaps; cut ones only at the end.
 
     Raises
     ------
@@ -98,24 +162,31 @@ def find_outline(image: NDArray[np.float32]) -> Outline:
     threshold, _ = cv2.threshold(scaled, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     # Otsu splits at the middle of the classes; dark cells are nearer to the background.
     mask = (scaled > 0.8 * threshold).astype(np.uint8)
-    size = max(3, min(height, width) // 40) | 1
-    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    padded = cv2.copyMakeBorder(mask, size, size, size, size, cv2.BORDER_REPLICATE)
-    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, element)
-    closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, element)[size:-size, size:-size]
-    component = _central_component(np.asarray(closed, np.uint8))
-    if component.mean() < MIN_AREA_SHARE:
-        raise OutlineError(
-            f"no module: the largest bright area covers {100 * component.mean():.1f} % of the frame"
-        )
-    contours, _ = cv2.findContours(component, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
-    inside = np.all((contour > 1) & (contour < [width - 2, height - 2]), axis=1)
-    if inside.sum() < 40:
+    wanted = np.array(inside if inside is not None else (width / 2, height / 2), np.float64)
+    widest = max(3, min(height, width) // 40) | 1
+    cut: list[Outline] = []
+    largest, filling = 0.0, False
+    for size in (widest, *(size for size in CLOSINGS_PX if size < widest)):
+        components = _components(_closed(mask, size, widest), wanted, inside is not None)
+        for component in components:
+            share = float(component.mean())
+            largest = max(largest, share)
+            if share < MIN_AREA_SHARE:
+                continue
+            outline = _contour(component)
+            if outline is None:
+                filling = True
+            elif outline.cut:
+                cut.append(outline)
+            else:
+                yield outline
+    if filling:
         raise OutlineError("no module outline: the bright area fills the frame")
-    hull = cv2.convexHull(contour.astype(np.float32))
-    corners = np.asarray(cv2.approxPolyN(hull, 4, ensure_convex=True), np.float64).reshape(-1, 2)
-    return Outline(contour[inside], _clockwise(corners), bool((~inside).sum() > 10))
+    yield from cut[:1]
+    if largest < MIN_AREA_SHARE:
+        raise OutlineError(
+            f"no module: the largest bright area covers {100 * largest:.1f} % of the frame"
+        )
 
 
 def fit_pose(
@@ -177,22 +248,44 @@ def _noise(image: NDArray[np.float32]) -> float:
     return float(1.4826 * np.median(np.abs(difference - np.median(difference))) / np.sqrt(2))
 
 
-def _central_component(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the large component nearest to the centre of the frame."""
+def _closed(mask: NDArray[np.uint8], size: int, opening: int) -> NDArray[np.uint8]:
+    """Close gaps up to `size` pixels, then remove what is thinner than `opening`."""
+    pad = max(size, opening)
+    padded = cv2.copyMakeBorder(mask, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
+    close, open_ = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (n, n)) for n in (size, opening))
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, close)
+    closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, open_)
+    return np.asarray(closed[pad:-pad, pad:-pad], np.uint8)
+
+
+def _components(
+    mask: NDArray[np.uint8], wanted: Array, strict: bool
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the large components, the one nearest to the wanted point first."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     if count < 2:
-        return np.zeros_like(mask)
+        return
     areas = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
-    height, width = mask.shape
-    large = np.flatnonzero(areas > 0.5 * areas.max()) + 1
-    if len(large) == 1:
-        return np.asarray(labels == large[0], np.uint8)
-    centre = np.array([width / 2, height / 2])
-    gaps = [
-        np.linalg.norm(np.argwhere(labels == label)[:, ::-1] - centre, axis=1).min()
-        for label in large
-    ]
-    return np.asarray(labels == large[int(np.argmin(gaps))], np.uint8)
+    distances = {}
+    for label in (np.flatnonzero(areas > LARGE_SHARE * areas.max()) + 1).tolist():
+        pixels = np.argwhere(labels == label)[:, ::-1]
+        distances[label] = float(np.linalg.norm(pixels - wanted, axis=1).min())
+    order = sorted(distances, key=lambda label: distances[label])
+    for label in order[: 1 if strict else MAX_COMPONENTS]:
+        yield np.asarray(labels == label, np.uint8)
+
+
+def _contour(component: NDArray[np.uint8]) -> Outline | None:
+    """Contour of a component; None if hardly any of it lies inside of the frame."""
+    height, width = component.shape
+    contours, _ = cv2.findContours(component, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contour = max(contours, key=cv2.contourArea)[:, 0].astype(np.float64)
+    inside = np.all((contour > 1) & (contour < [width - 2, height - 2]), axis=1)
+    if inside.sum() < 40:
+        return None
+    hull = cv2.convexHull(contour.astype(np.float32))
+    corners = np.asarray(cv2.approxPolyN(hull, 4, ensure_convex=True), np.float64).reshape(-1, 2)
+    return Outline(contour[inside], _clockwise(corners), bool((~inside).sum() > 10))
 
 
 def _clockwise(corners: Array) -> Array:

@@ -20,6 +20,7 @@ from pv_inspect.detection import Crossings, detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
+from pv_inspect.layout_guess import guess_layout, is_known
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
@@ -98,6 +99,8 @@ class Inspection:
         held it; reused parts keep the seconds of the run that made them.
     warnings : tuple of str
         What a user should know about the result, one sentence each.
+    layout_guessed : bool
+        Whether rows and columns were guessed from the frames because nobody gave them.
     """
 
     sequence: Sequence
@@ -111,6 +114,7 @@ class Inspection:
     cracks: CrackMap | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    layout_guessed: bool = False
 
     @property
     def complete(self) -> bool:
@@ -196,15 +200,16 @@ def inspect(
     Raises
     ------
     InspectionError
-        If the layout is unknown, or no frame can be used.
+        If the layout is unknown and can't be guessed, or no frame can be used.
     """
     settings = settings if settings is not None else Settings()
     begun = perf_counter()
-    layout = sequence.layout(settings)
-    if start is None or start.sequence is not sequence:
-        state = Inspection(sequence, settings, layout)
+    kept = start if start is not None and start.sequence is sequence else None
+    layout, guessed = _layout(sequence, settings, kept)
+    if kept is None:
+        state = Inspection(sequence, settings, layout, layout_guessed=guessed)
     else:
-        state = replace(start._only(settings), layout=layout)
+        state = replace(kept._only(settings), layout=layout, layout_guessed=guessed)
     todo = [stage for stage in _FIELD if stage in state.stale(settings)]
     seconds = dict(state.seconds)
     seconds.setdefault(Stage.LOAD.value, perf_counter() - begun)
@@ -256,6 +261,17 @@ def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
         except StopIteration as end:
             result: Inspection = end.value
             return result
+
+
+def _layout(
+    sequence: Sequence, settings: Settings, start: Inspection | None
+) -> tuple[ModuleLayout, bool]:
+    """Return the layout that was given, or else guessed, and whether it was guessed."""
+    if is_known(sequence, settings):
+        return sequence.layout(settings), False
+    if start is not None and Stage.DETECT not in start.stale(settings):
+        return start.layout, start.layout_guessed
+    return guess_layout(sequence, settings).layout, True
 
 
 _Event = tuple[float, str, object | None]
@@ -365,6 +381,11 @@ def _warnings(state: Inspection) -> tuple[str, ...]:
     reasons = _reasons(registration)
     n_used = reasons.count("")
     found = []
+    if state.layout_guessed:
+        found.append(
+            f"Rows and columns were not given: {state.layout.rows} x {state.layout.cols} cells of "
+            f"aspect {state.layout.cell_aspect:g} guessed, please confirm."
+        )
     if n_used == 1:
         which = "1 frame" if len(reasons) == 1 else f"1 frame of {len(reasons)} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")

@@ -27,7 +27,7 @@ NOISE_TO_SIGNAL = 0.01
 SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.1)
 """A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
 SEARCH_UNITS = 0.05
-MIN_GAPS = 40
+MIN_GAPS = 30
 """Fewer do not determine the 11 parameters better than the crossing points of all frames."""
 CENTRE_STD_PX = 1.0
 """How far the principal point may go from where the calibration put it."""

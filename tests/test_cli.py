@@ -148,9 +148,9 @@ def test_frames_without_a_module_are_one_sentence(frames: Path, tmp_path: Path) 
     assert not (tmp_path / "out").exists()
 
 
-def test_unknown_rows_and_columns_are_one_sentence(frames: Path, tmp_path: Path) -> None:
+def test_rows_and_columns_that_cannot_be_guessed_are_refused(frames: Path, tmp_path: Path) -> None:
     (frames / "module.json").unlink()
-    refused(called("run", frames, "--out", tmp_path / "out"), "rows and cols.*--rows")
+    refused(called("run", frames, "--out", tmp_path / "out"), "can't be guessed.*--rows")
 
 
 @pytest.mark.parametrize(

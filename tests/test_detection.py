@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pv_inspect.detection import Crossings, detect
+from pv_inspect.detection import Crossings, FrameCrossings, detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.sequence import Sequence
@@ -150,3 +151,43 @@ def test_the_intensity_scale_does_not_matter(
     one = _finish(detect(_in_memory([frame]), layout)).frames[0]
     other = _finish(detect(_in_memory([np.float32(0.25) * frame]), layout)).frames[0]
     np.testing.assert_allclose(one.points_px, other.points_px, atol=0.01)
+
+
+def test_a_frame_upside_down_is_brought_the_same_way_up(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frames = _floats(simulation)[:3]
+    frames[1] = np.ascontiguousarray(frames[1][::-1, ::-1])
+    crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+    height, width = frames[0].shape
+    turned = [width - 1, height - 1] - simulation.crossings_px(1)
+    found = crossings.frames[1]
+    # Which way is up is arbitrary, but must be the same in all frames.
+    first = crossings.frames[0].points_px - simulation.crossings_px(0)
+    if np.nanmax(np.abs(first)) > 5:
+        turned = turned[::-1]
+    assert np.abs(found.points_px - turned)[found.measured].max() < 2
+
+
+def test_crossings_turn_with_the_module() -> None:
+    layout = ModuleLayout(3, 3)
+    ideal = layout.crossings()
+    frame = FrameCrossings(ideal, np.ones(16), np.ones(16, bool))
+    once = frame.turned(layout, 1).points_px
+    np.testing.assert_array_equal(once[:2], [[3, 0], [3, 1]])
+    np.testing.assert_array_equal(frame.turned(layout, 2).points_px, ideal[::-1])
+
+
+@pytest.mark.parametrize("photo", [0, 4, 12])
+def test_the_central_module_of_a_field_photograph_is_found(
+    shared_sequences: Path, photo: int
+) -> None:
+    folder = shared_sequences.parent / "field"
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    of_photo = next(one for one in truth["images"] if one["file"] == f"field_{photo:02d}.png")
+    layout = ModuleLayout(of_photo["rows"], of_photo["cols"])
+    crossings = _finish(detect(Sequence.open([folder / of_photo["file"]]), layout))
+    error = np.linalg.norm(crossings.frames[0].points_px - of_photo["crossings_px"], axis=1)
+    assert np.median(error) < 0.5
+    assert error.max() < 2

@@ -6,7 +6,14 @@ import pytest
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import OutlineError, Pose, conventional_camera, find_outline, fit_pose
+from pv_inspect.outline import (
+    OutlineError,
+    Pose,
+    conventional_camera,
+    find_outline,
+    find_outlines,
+    fit_pose,
+)
 
 SHAPE = (216, 288)
 LAYOUT = ModuleLayout(4, 6)
@@ -67,3 +74,49 @@ def test_frames_without_a_module_say_why() -> None:
 def test_a_module_cut_by_the_border_is_noticed() -> None:
     image, _ = _bright_rectangle(0.0)
     assert find_outline(np.ascontiguousarray(image[:, 60:])).cut
+
+
+def _string_of_three(gap: int) -> np.ndarray:
+    """Draw three modules below each other; the frame cuts the upper and the lower one."""
+    image = np.full((320, 300), 0.02, np.float32)
+    for top in (-110, 60 + gap, 230 + 2 * gap):
+        image[max(top, 0) : top + 170, 40:260] = 0.5
+    return image
+
+
+@pytest.mark.parametrize("gap", [5, 7, 12])
+def test_modules_of_one_string_are_told_apart_and_the_complete_one_comes_first(gap: int) -> None:
+    outline = find_outline(_string_of_three(gap))
+    assert not outline.cut
+    corners = [[40, 60 + gap], [259, 60 + gap], [259, 229 + gap], [40, 229 + gap]]
+    assert np.abs(outline.corners_px - corners).max() < 3
+
+
+def test_a_point_inside_chooses_the_module() -> None:
+    image = np.full((240, 400), 0.02, np.float32)
+    image[40:200, 20:180] = image[40:200, 220:380] = 0.5
+    for x in (100, 300):
+        centre = next(find_outlines(image, (x, 120))).corners_px.mean(axis=0)
+        assert np.abs(centre - [x, 120]).max() < 2
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_turned_pose_begins_at_another_corner_of_the_same_rectangle(turns: int) -> None:
+    image, _ = _bright_rectangle(0.0)
+    pose, _ = fit_pose(find_outline(image), LAYOUT, SHAPE, 0)
+    width, height = LAYOUT.size
+    new_size = (height, width) if turns % 2 else (width, height)
+    turned = pose.turned(LAYOUT.size, new_size, turns)
+
+    def corners(which: Pose, size: tuple[float, float]) -> np.ndarray:
+        return which.project(np.array([[0, 0], [size[0], 0], size, [0, size[1]]]))
+
+    expected = np.roll(corners(pose, LAYOUT.size), -turns, axis=0)
+    np.testing.assert_allclose(corners(turned, new_size), expected, atol=1e-6)
+
+
+def test_the_perspective_tells_the_aspect_of_the_module() -> None:
+    image, _ = _bright_rectangle(0.1)
+    square = ModuleLayout(1, 1)
+    pose, _ = fit_pose(find_outline(image), square, SHAPE, 0)
+    assert pose.aspect == pytest.approx(6 / 4, rel=0.03)

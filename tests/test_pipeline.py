@@ -12,6 +12,7 @@ import pytest
 from pv_inspect import pipeline
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
+from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
 from pv_inspect.reconstruction import Progress
 from pv_inspect.settings import Settings, Stage
@@ -242,3 +243,26 @@ def test_no_usable_frame_is_one_sentence(stages: Stages) -> None:
 def test_steps_are_events_that_can_not_be_changed() -> None:
     with pytest.raises(AttributeError):
         Step(Stage.LOAD, 0.0, "").fraction = 1.0  # type: ignore[misc]
+
+
+def test_an_unknown_layout_is_guessed_once_and_the_result_says_so(
+    stages: Stages, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Settings] = []
+
+    def guess(sequence: Any, settings: Settings) -> LayoutGuess:
+        asked.append(settings)
+        return LayoutGuess(made_crossings().layout, 0.9, ())
+
+    monkeypatch.setattr(pipeline, "guess_layout", guess)
+    sequence: Any = FakeSequence(layout_hint={})
+    inspection = run_to_end(inspect(sequence))
+    assert inspection.layout_guessed
+    assert "2 x 3 cells of aspect 1 guessed, please confirm" in inspection.warnings[0]
+    again = run_to_end(inspect(sequence, Settings(crack_threshold=0.7), inspection))
+    assert again.layout == inspection.layout
+    assert again.layout_guessed
+    assert len(asked) == 1
+    given = run_to_end(inspect(sequence, Settings(rows=2, cols=3), inspection))
+    assert not given.layout_guessed
+    assert not any("guessed" in warning for warning in given.warnings)

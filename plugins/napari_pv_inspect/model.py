@@ -13,6 +13,7 @@ import numpy as np
 from psygnal import Signal
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
@@ -43,6 +44,8 @@ class WorkbenchModel:
         What the current run was started with.
     inspection : Inspection or None
         What is shown and saved. A cancelled run leaves a complete one as it was.
+    guess : LayoutGuess or None
+        What was guessed from the frames because the sequence came without rows and columns.
     draft : Inspection or None
         What the current or the last, cancelled run has found so far; a later run resumes from it.
     """
@@ -61,6 +64,7 @@ class WorkbenchModel:
         self.settings = self.run_settings = Settings()
         self.inspection: Inspection | None = None
         self.draft: Inspection | None = None
+        self.guess: LayoutGuess | None = None
         self.result: Result | None = None
         self.run_state = RunState.IDLE
 
@@ -83,12 +87,46 @@ class WorkbenchModel:
         }
         unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa"))
         self.sequence = sequence
+        self.guess = None
         self.inspection = self.draft = self.result = None
         self._enter(RunState.IDLE)
         self.settings = self.settings.changed(**{**unknown, **hint})
         self.sequence_changed.emit(sequence)
         self.settings_changed.emit(self.settings)
         self.inspection_changed.emit(None)
+
+    def offer_layout(self, sequence: Sequence, guess: LayoutGuess | None) -> None:
+        """Take a guess over into the settings, unless a person was faster.
+
+        Parameters
+        ----------
+        sequence : Sequence
+            What was guessed from; another one on the bench by now makes the guess void.
+        guess : LayoutGuess or None
+            None: the frames do not tell.
+        """
+        known = self.settings.rows is not None or self.settings.cols is not None
+        if sequence is not self.sequence or known or self.run_state is not RunState.IDLE:
+            return
+        if guess is None:
+            self.notice("The frames do not tell how many cells the module has: give rows, columns.")
+            return
+        layout = guess.layout
+        self.guess = guess
+        self.change_settings(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
+
+    @property
+    def layout_is_guessed(self) -> bool:
+        """Whether rows, columns and aspect still are what was guessed from the frames."""
+        if self.guess is None:
+            return False
+        layout = self.guess.layout
+        settings = self.settings
+        return (settings.rows, settings.cols, settings.cell_aspect) == (
+            layout.rows,
+            layout.cols,
+            layout.cell_aspect,
+        )
 
     def open_result(self, result: Result) -> None:
         """Put a result folder on the bench; an inspection that has cells of its own stays."""

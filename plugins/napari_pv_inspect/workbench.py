@@ -13,6 +13,7 @@ from napari.utils.notifications import show_error
 from qtpy.QtCore import QEvent, QObject, QTimer
 from superqt.utils import qthrottled
 
+from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
@@ -52,6 +53,7 @@ class Workbench(QObject):
         self.frames = FramesLayer(viewer, self.model)
         self.geometry = GeometryLayers(viewer, self.model)
         self.module = ModuleLayers(viewer, self.model)
+        self.guesser = LayoutGuesser(self.model)
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
         self.navigator = Navigator(viewer, self.model, self.module)
         self._preview: Any = None
@@ -87,6 +89,7 @@ class Workbench(QObject):
         self._show_preview.cancel()
         self._fit_timer.stop()
         self.live.close()
+        self.guesser.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:

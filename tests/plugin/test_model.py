@@ -7,6 +7,8 @@ import pytest
 
 from napari_pv_inspect.model import RunState, WorkbenchModel, best_start
 from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
@@ -50,6 +52,35 @@ def test_unknown_rows_keep_a_run_from_starting_and_leave_the_model_idle(
     with pytest.raises(InspectionError, match="rows and cols"):
         model.begin_run()
     assert model.run_state is RunState.IDLE
+
+
+GUESS = LayoutGuess(ModuleLayout(3, 4), 0.9, ())
+
+
+def test_a_guessed_layout_fills_the_settings_until_a_person_changes_it(
+    tiny_sequence: Sequence,
+) -> None:
+    model = WorkbenchModel()
+    sequence = replace(tiny_sequence, layout_hint={})
+    model.open(sequence)
+    model.offer_layout(sequence, GUESS)
+    assert (model.settings.rows, model.settings.cols, model.settings.cell_aspect) == (3, 4, 1.0)
+    assert model.layout_is_guessed
+    model.change_settings(cols=5)
+    assert not model.layout_is_guessed
+
+
+def test_a_guess_comes_too_late_for_another_sequence_or_for_a_person(
+    tiny_sequence: Sequence,
+) -> None:
+    model = WorkbenchModel()
+    sequence = replace(tiny_sequence, layout_hint={})
+    model.open(sequence)
+    model.offer_layout(replace(sequence), GUESS)
+    assert model.settings.rows is None
+    model.change_settings(rows=7)
+    model.offer_layout(sequence, GUESS)
+    assert (model.settings.rows, model.settings.cols) == (7, None)
 
 
 def test_a_cancelled_first_run_keeps_what_it_found(

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,19 @@ def test_opening_shows_the_frames_and_prefills_the_layout(bench: Any) -> None:
     assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
     assert "5 frames" in dock.headline.text()
     assert "frame_" in viewer.canvas.overlays.text.text
+
+
+def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
+    bench: Any, tiny_sequence: Sequence, qtbot: QtBot
+) -> None:
+    _, dock, _ = bench
+    dock.bench.model.open(replace(tiny_sequence, layout_hint={}))
+    assert dock.module.rows.value() == 0
+    qtbot.waitUntil(lambda: dock.module.rows.value() > 0, timeout=20_000)
+    assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
+    assert not dock.module.confirm.isHidden()
+    dock.module.cols.setValue(5)
+    assert dock.module.confirm.isHidden()
 
 
 def test_detect_draws_points_and_grid_that_follow_the_time_slider(

@@ -3,7 +3,15 @@
 from __future__ import annotations
 
 from qtpy.QtCore import QSignalBlocker, Signal
-from qtpy.QtWidgets import QDoubleSpinBox, QFormLayout, QGroupBox, QPushButton, QSpinBox, QWidget
+from qtpy.QtWidgets import (
+    QDoubleSpinBox,
+    QFormLayout,
+    QGroupBox,
+    QLabel,
+    QPushButton,
+    QSpinBox,
+    QWidget,
+)
 
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.slider import setting_tooltip
@@ -32,6 +40,8 @@ class ModuleBox(QGroupBox):
         self.aspect.setSpecialValueText("auto")
         self.aspect.setKeyboardTracking(False)
         self.aspect.setToolTip(setting_tooltip("cell_aspect"))
+        self.confirm = QLabel("Guessed from the frames: please confirm.")
+        self.confirm.setWordWrap(True)
         self.detect = QPushButton("Detect grid")
         self.detect.setToolTip(
             "Find the crossing points in all frames and fit camera and grid; nothing else is run."
@@ -40,6 +50,7 @@ class ModuleBox(QGroupBox):
         form.addRow("Rows", self.rows)
         form.addRow("Columns", self.cols)
         form.addRow("Cell aspect", self.aspect)
+        form.addRow(self.confirm)
         form.addRow(self.detect)
         self.rows.valueChanged.connect(self._on_rows)
         self.cols.valueChanged.connect(self._on_cols)
@@ -75,6 +86,7 @@ class ModuleBox(QGroupBox):
         ):
             with QSignalBlocker(box):
                 box.setValue(value)
+        self.confirm.setVisible(self._model.layout_is_guessed)
         self._on_state()
 
     def _on_state(self, _: object = None) -> None:
