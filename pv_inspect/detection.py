@@ -9,7 +9,7 @@ where neighbouring cells differ in brightness; a crossing is where its measured 
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,6 +31,8 @@ MIN_EDGE_SHARE = 0.6
 """Share of the expected gaps that must be in place; dead cells and cracks hide some."""
 IN_PLACE_PX = 0.5
 FINER_SHARE = 0.85
+CONTINUITY = 0.1
+"""Correlation of the cells' brightness that counts as much as half the turn between two frames."""
 MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
@@ -209,11 +211,15 @@ def _find_module(
         try:
             if outline.cut:
                 raise OutlineError("the border of the image cuts the module")
+            fits: list[Found] = []
             for start in _starts(image.shape, outline, layout):
                 try:
-                    return detect_in_frame(image, layout, start)
+                    fits.append(detect_in_frame(image, layout, start))
                 except OutlineError as error:
                     first = first or error
+            if fits:
+                # The wrong orientation of a square outline may catch busbars, but not everywhere.
+                return max(fits, key=lambda fit: float(fit[1].measured.mean()))
         except OutlineError as error:
             first = first or error
     raise first or OutlineError("no module")
@@ -244,22 +250,38 @@ def _starts(shape: tuple[int, int], outline: Outline, layout: ModuleLayout) -> l
 def _same_way_up(sequence: Sequence, layout: ModuleLayout, found: dict[int, Found]) -> None:
     """Turn the frames so that all show the same cells at the same places of the module.
 
-    The outline looks the same turned by half a turn; the brightness of the cells does not.
+    The outline looks the same turned by half a turn; the brightness of the cells does not. Where
+    all cells look alike, the turn that continues the frame before decides.
     """
     square = layout.rows == layout.cols and layout.cell_aspect == 1.0
+    turns = (0, 1, 2, 3) if square else (0, 2)
     known: NDArray[np.float32] | None = None
+    direction = 0.0
     for index in sorted(found):
         pose, frame = found[index]
         picture = _coarse_picture(sequence.frame(index).image, layout, pose)
-        turns = (0, 1, 2, 3) if square else (0, 2)
         if known is None:
-            known = picture
+            known, direction = picture, _direction(pose, layout)
             continue
-        likeness = [float((known * np.rot90(picture, turn)).sum()) for turn in turns]
-        turn = turns[int(np.argmax(likeness))]
+        turned = {turn: pose.turned(layout.size, layout.size, turn) for turn in turns}
+        scale = float(np.linalg.norm(known) * np.linalg.norm(picture)) + 1e-12
+        score = {
+            turn: float((known * np.rot90(picture, turn)).sum()) / scale
+            + CONTINUITY * float(np.cos(_direction(turned[turn], layout) - direction))
+            for turn in turns
+        }
+        turn = max(score, key=lambda key: score[key])
         known = known + np.rot90(picture, turn)
+        direction = _direction(turned[turn], layout)
         if turn:
-            found[index] = pose.turned(layout.size, layout.size, turn), frame.turned(layout, turn)
+            found[index] = turned[turn], frame.turned(layout, turn)
+
+
+def _direction(pose: Pose, layout: ModuleLayout) -> float:
+    """Angle of the module's x axis in the image."""
+    height = layout.size[1] / 2
+    ends = pose.project(np.array([[0.0, height], [layout.size[0], height]]))
+    return float(np.arctan2(*(ends[1] - ends[0])[::-1]))
 
 
 def _coarse_picture(

@@ -91,7 +91,8 @@ def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
 def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration, Any]) -> None:
     sequence, truth, simulation = scene
     start = _disturbed(truth, 0.5, seed=4)
-    start = replace(start, camera=Camera(truth.camera.K, truth.camera.kappa + 0.01))
+    camera = Camera(truth.camera.K, truth.camera.kappa + 0.01)
+    start = replace(start, camera=camera, kappa_std=0.01)
     registration = _finish(register(sequence, start, Settings()))
     errors = [registration.crossings_px(i) - simulation.crossings_px(i) for i in range(8)]
     before = [start.crossings_px(i) - simulation.crossings_px(i) for i in range(8)]
