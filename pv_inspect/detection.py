@@ -31,6 +31,8 @@ MIN_EDGE_SHARE = 0.6
 """Share of the expected gaps that must be in place; dead cells and cracks hide some."""
 IN_PLACE_PX = 0.5
 FINER_SHARE = 0.85
+SURE_SHARE = 0.8
+"""If fewer crossing points are measured, other starts are tried too."""
 CONTINUITY = 0.1
 """Correlation of the cells' brightness that counts as much as half the turn between two frames."""
 MAX_ASPECT_RATIO_ERROR = 1.4
@@ -212,22 +214,30 @@ def _find_module(
             if outline.cut:
                 raise OutlineError("the border of the image cuts the module")
             fits: list[Found] = []
-            for start in _starts(image.shape, outline, layout):
-                try:
-                    fits.append(detect_in_frame(image, layout, start))
-                except OutlineError as error:
-                    first = first or error
-            if fits:
+            for distorted in (True, False):
+                for start in _starts(image.shape, outline, layout, distorted):
+                    try:
+                        fits.append(detect_in_frame(image, layout, start))
+                    except OutlineError as error:
+                        first = first or error
                 # The wrong orientation of a square outline may catch busbars, but not everywhere.
-                return max(fits, key=lambda fit: float(fit[1].measured.mean()))
+                best = max(fits, key=_share_measured, default=None)
+                if best is not None and (not distorted or _share_measured(best) > SURE_SHARE):
+                    return best
         except OutlineError as error:
             first = first or error
     raise first or OutlineError("no module")
 
 
-def _starts(shape: tuple[int, int], outline: Outline, layout: ModuleLayout) -> list[Pose]:
+def _share_measured(found: Found) -> float:
+    return float(found[1].measured.mean())
+
+
+def _starts(
+    shape: tuple[int, int], outline: Outline, layout: ModuleLayout, distorted: bool
+) -> list[Pose]:
     """Fit the outline; return the orientations that the aspect of the module allows."""
-    pose, distance = fit_pose(outline, layout, shape, 0)
+    pose, distance = fit_pose(outline, layout, shape, 0, distorted=distorted)
     ratio = layout.size[0] / layout.size[1]
     seen = pose.aspect * ratio
     starts = [pose, pose.turned(layout.size, layout.size, 1)]

@@ -190,7 +190,12 @@ def find_outlines(
 
 
 def fit_pose(
-    outline: Outline, layout: ModuleLayout, shape: tuple[int, int], quarter_turns: int
+    outline: Outline,
+    layout: ModuleLayout,
+    shape: tuple[int, int],
+    quarter_turns: int,
+    *,
+    distorted: bool = True,
 ) -> tuple[Pose, float]:
     """Fit homography and kappa so that the contour lies on the outline of the module.
 
@@ -202,6 +207,9 @@ def fit_pose(
         (height, width) of the frame.
     quarter_turns : int
         Which corner of the quadrilateral is the module's top left one, 0 to 3.
+    distorted : bool
+        Whether kappa is fitted. Rounded corners of the outline look like distortion: then a fit
+        without it comes closer.
 
     Returns
     -------
@@ -220,6 +228,7 @@ def fit_pose(
     scale = float(side_px.sum() / (2 * (width + height)))
     centre = np.array([width, height]) / 2
 
+    stiffness = 5.0 if distorted else 1e6
     # The plane is centred and scaled so that all parameters are of one order.
     inner = np.array([[width / 2, 0, centre[0]], [0, width / 2, centre[1]], [0, 0, 1.0]])
     first = start @ inner
@@ -235,7 +244,7 @@ def fit_pose(
         outside = np.maximum(excess, 0)
         # Signed distance of a point from the rectangle, in pixels at the mean scale.
         distance = np.hypot(outside[:, 0], outside[:, 1]) + np.minimum(excess.max(axis=1), 0)
-        return np.append(np.nan_to_num(distance * scale, nan=50.0), 5.0 * parameters[8])
+        return np.append(np.nan_to_num(distance * scale, nan=50.0), stiffness * parameters[8])
 
     fit = least_squares(
         residuals, np.append(first.ravel()[:8], 0.0), loss="soft_l1", f_scale=1.0, max_nfev=60
