@@ -129,7 +129,7 @@ def detect(
     for index in range(count):
         image = sequence.frame(index).image
         try:
-            found[index] = _find_module(image, layout, inside)
+            found[index] = _find_module(image, layout, inside, check_layout=not found)
         except OutlineError as error:
             reasons[index] = str(error)
         yield 0.8 * (index + 1) / count
@@ -140,7 +140,7 @@ def detect(
         try:
             image = sequence.frame(index).image
             start = _translated(sequence.frame(nearest).image, image, found[nearest][0])
-            found[index] = detect_in_frame(image, layout, start)
+            found[index] = detect_in_frame(image, layout, start, check_layout=False)
             del reasons[index]
         except OutlineError as error:
             reasons[index] = str(error)
@@ -162,7 +162,7 @@ def detect(
 
 
 def detect_in_frame(
-    image: NDArray[np.float32], layout: ModuleLayout, start: Pose
+    image: NDArray[np.float32], layout: ModuleLayout, start: Pose, *, check_layout: bool = True
 ) -> tuple[Pose, FrameCrossings]:
     """Refine a coarse pose on the gaps between the cells and read the crossing points.
 
@@ -172,6 +172,9 @@ def detect_in_frame(
     layout : ModuleLayout
     start : Pose
         Right to about a tenth of a cell.
+    check_layout : bool
+        Whether to look for gaps inside of the cells, which say that the module has more of them.
+        Once in a sequence is enough.
 
     Returns
     -------
@@ -197,7 +200,7 @@ def detect_in_frame(
             f"only {100 * share:.0f} % of the borders between {layout.rows} x {layout.cols} cells "
             "are where they should be"
         )
-    if _has_finer_grid(image, layout, pose):
+    if check_layout and _has_finer_grid(image, layout, pose):
         raise OutlineError(
             f"there are borders in the middle of the {layout.rows} x {layout.cols} cells too"
         )
@@ -205,7 +208,11 @@ def detect_in_frame(
 
 
 def _find_module(
-    image: NDArray[np.float32], layout: ModuleLayout, inside: tuple[float, float] | None
+    image: NDArray[np.float32],
+    layout: ModuleLayout,
+    inside: tuple[float, float] | None,
+    *,
+    check_layout: bool,
 ) -> Found:
     """Take the first outline in which the gaps of the layout are in place."""
     first: OutlineError | None = None
@@ -217,7 +224,9 @@ def _find_module(
             for distorted in (True, False):
                 for start in _starts(image.shape, outline, layout, distorted):
                     try:
-                        fits.append(detect_in_frame(image, layout, start))
+                        fits.append(
+                            detect_in_frame(image, layout, start, check_layout=check_layout)
+                        )
                     except OutlineError as error:
                         first = first or error
                 # The wrong orientation of a square outline may catch busbars, but not everywhere.
