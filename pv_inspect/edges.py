@@ -184,12 +184,16 @@ def measure_edges(
             )
     with np.errstate(invalid="ignore"):
         found &= np.abs(place) <= search_px
-    outer = visible & ~edges.inner
-    if outer.any() and found.any():
-        flipped = profiles[outer].copy()
+    for axis in range(2):
+        across = edges.normal[:, axis] == 1
+        outer, inner = visible & ~edges.inner & across, found & edges.inner & across
+        if not outer.any() or not found.any():
+            continue
+        # Gaps between rows and between columns may differ in width.
+        gaps = inner if inner.any() else found & edges.inner
+        gap = _gap_width(profiles[gaps], x, place[gaps])
         turn = edges.side[outer] < 0
-        flipped[turn] = flipped[turn][:, ::-1]
-        gap = _gap_width(profiles[found], x, place[found])
+        flipped = np.where(turn[:, None], profiles[outer][:, ::-1], profiles[outer])
         step, deviation, good = _fit_steps(flipped, x, search_px)
         place[outer] = np.where(turn, -1, 1) * (step - gap / 2)
         sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1)
