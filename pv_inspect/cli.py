@@ -150,6 +150,8 @@ def run(
     focal_length: Annotated[float | None, _option("focal_length_px", "--focal-length")] = None,
     calibration: Annotated[Path | None, _option("calibration_file", "--calibration")] = None,
     registration_model: Annotated[str | None, _option("registration_model")] = None,
+    keep_frame: Annotated[list[str] | None, _option("keep_frames", "--keep-frame")] = None,
+    skip_frame: Annotated[list[str] | None, _option("skip_frames", "--skip-frame")] = None,
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
@@ -186,6 +188,8 @@ def run(
             "focal_length_px": focal_length,
             "calibration_file": calibration,
             "registration_model": registration_model,
+            "keep_frames": keep_frame,
+            "skip_frames": skip_frame,
             "psf_sigma_lr_px": psf_sigma,
             "dark_frame": dark_frame,
             "max_iterations": max_iterations,
@@ -197,6 +201,7 @@ def run(
         _use_threads(threads)
         begun = perf_counter()
         opened = Sequence.open(sequence, settings.dark_frame)
+        opened.indices((*settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)
         inspection = follow(inspect(opened, settings), quiet=quiet)

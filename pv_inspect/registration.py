@@ -146,7 +146,7 @@ def register(
     end the homography common to all frames is chosen so that the crossing points stay where this
     fit has them.
     """
-    state = unregistered(calibration)
+    state = _without_skipped(unregistered(calibration), sequence.indices(settings.skip_frames))
     if int(state.used.sum()) == 0:
         raise InspectionError(
             f"No frame is left to register ({_first_reason(state.why)}): check rows and cols."
@@ -193,7 +193,8 @@ def register(
             yield done / total
         state = _normalised(state, homographies, gain, offset, rms)
         if number == 0:
-            state = _rejected(state, calibration, correlation)
+            kept = sequence.indices(settings.keep_frames)
+            state = _rejected(state, calibration, correlation, kept)
             if not state.used.any():
                 raise InspectionError(
                     "The frames do not agree with each other "
@@ -341,15 +342,27 @@ def _normalised(
     return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
 
 
-def _rejected(state: Registration, calibration: Calibration, correlation: Array) -> Registration:
-    """Take out frames that show something else than the others do."""
+def _without_skipped(state: Registration, skipped: list[int]) -> Registration:
+    """Leave out the frames that the user does not want."""
+    used, why = state.used.copy(), list(state.why)
+    for index in skipped:
+        used[index] = False
+        why[index] = why[index] or "left out as the settings say"
+    return replace(state, used=used, why=tuple(why))
+
+
+def _rejected(
+    state: Registration, calibration: Calibration, correlation: Array, kept: list[int]
+) -> Registration:
+    """Take out frames that show something else than the others do; a person may keep them."""
     used, why = state.used.copy(), list(state.why)
     typical = float(np.nanmedian(correlation))
     scale = state.lr_px_per_unit
     for index in _indices(state.used):
         moved = state.crossings_px(index) - calibration.crossings_px(index)
         stray = float(np.nanmedian(np.linalg.norm(moved, axis=1))) / scale
-        if typical > MIN_TYPICAL and correlation[index] < MIN_CORRELATION * typical:
+        alien = typical > MIN_TYPICAL and correlation[index] < MIN_CORRELATION * typical
+        if alien and index not in kept:
             why[index] = (
                 "it does not show the same module as the others "
                 f"(correlation {correlation[index]:.2f}, typically {typical:.2f})"

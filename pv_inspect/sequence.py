@@ -227,6 +227,23 @@ class Sequence:
             self._cache.put(index, frame)
         return frame
 
+    def indices(self, names: Iterable[str]) -> list[int]:
+        """Return the indices of frames given by name.
+
+        Raises
+        ------
+        InspectionError
+            If there is no such frame.
+        """
+        where = {name: index for index, name in enumerate(self.names)}
+        unknown = [name for name in names if name not in where]
+        if unknown:
+            raise InspectionError(
+                f"There is no frame {unknown[0]!r} in {self.source}: its frames are called "
+                f"{self.names[0]} to {self.names[-1]}."
+            )
+        return [where[name] for name in names]
+
     def layout(self, settings: Settings) -> ModuleLayout:
         """Return the module's layout; settings win over ``module.json``.
 

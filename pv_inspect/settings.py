@@ -106,6 +106,15 @@ class Settings(BaseModel):
         "Calibration of the camera (YAML, JSON or XML of OpenCV, or a result.json): fixes focal "
         "length, principal point and, unless kappa is given, kappa.",
     )
+    keep_frames: tuple[str, ...] = _tunable(
+        (),
+        Stage.REGISTER,
+        "file",
+        "Names of frames that are used even if they seem to show another module.",
+    )
+    skip_frames: tuple[str, ...] = _tunable(
+        (), Stage.REGISTER, "file", "Names of frames that are left out."
+    )
     registration_model: Literal["camera", "homography"] = _tunable(
         "camera",
         Stage.REGISTER,
@@ -197,8 +206,8 @@ class Settings(BaseModel):
         """Return the settings as TOML; values that are not given are left out."""
         lines = []
         for name, value in self.model_dump(mode="json", exclude_none=True).items():
-            # JSON strings are TOML basic strings.
-            text = json.dumps(value) if isinstance(value, str) else repr(value)
+            # JSON strings and lists of them are TOML as well.
+            text = json.dumps(value) if isinstance(value, str | list) else repr(value)
             lines.append(f"{name} = {text}")
         return "\n".join(lines) + "\n"
 

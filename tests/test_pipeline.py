@@ -3,7 +3,6 @@ from __future__ import annotations
 import time
 from collections.abc import Generator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -167,14 +166,6 @@ def test_the_ablation_replaces_the_registration_and_nothing_else(stages: Stages)
     second = run_to_end(inspect(SEQUENCE, Settings(registration_model="homography"), first))
     assert stages.ran == ["by homography", *ALL[3:]]
     assert second.complete
-
-
-def test_a_camera_out_of_a_file_stays_as_it_is(stages: Stages) -> None:
-    run_to_end(inspect(SEQUENCE))
-    assert stages.registered_with.kappa is None
-    settings = Settings(calibration_file=Path("camera.yml"))
-    assert run_to_end(inspect(SEQUENCE, settings)).settings == settings
-    assert stages.registered_with.kappa == made_calibration().camera.kappa
 
 
 def test_another_sequence_starts_afresh(stages: Stages) -> None:

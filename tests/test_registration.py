@@ -109,12 +109,26 @@ def test_gains_follow_the_flicker_of_the_light(scene: tuple[Sequence, Calibratio
     assert np.all(registration.rms < 3)
 
 
+def test_a_camera_out_of_a_file_stays_as_it_is(
+    scene: tuple[Sequence, Calibration, Any],
+) -> None:
+    sequence, truth, _ = scene
+    start = replace(truth, kappa_std=0.05)
+    settings = Settings(calibration_file=Path("camera.yml"))
+    fixed = _finish(register(sequence, start, settings)).camera
+    free = _finish(register(sequence, start, Settings())).camera
+    assert fixed.kappa == pytest.approx(truth.camera.kappa, abs=1e-9)
+    assert abs(free.kappa - truth.camera.kappa) > 1e-6
+
+
 class _Swapped:
     """The sequence with one frame replaced."""
 
     def __init__(self, sequence: Sequence, index: int, image: np.ndarray) -> None:
         self._sequence, self._index, self._image = sequence, index, image
         self.shape, self.noise, self.names = sequence.shape, sequence.noise, sequence.names
+
+        self.indices = sequence.indices
 
     def __len__(self) -> int:
         return len(self._sequence)
@@ -142,6 +156,21 @@ def test_a_frame_of_another_module_is_rejected_with_its_reason(
     assert "does not show the same module" in registration.why[3]
     assert registration.used.sum() == 7
     assert np.isnan(registration.rms[3])
+
+
+def test_a_person_may_keep_and_leave_out_frames(
+    scene: tuple[Sequence, Calibration, Any],
+) -> None:
+    sequence, truth, _ = scene
+    other = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
+    swapped = _Swapped(sequence, 3, other)
+    settings = Settings(keep_frames=("frame_003.tif",), skip_frames=("frame_001.tif",))
+    registration = _finish(register(swapped, truth, settings))
+    assert registration.used[3]
+    assert not registration.used[1]
+    assert registration.why[1] == "left out as the settings say"
+    with pytest.raises(InspectionError, match=r"no frame 'x\.tif' .* frame_000\.tif to"):
+        _finish(register(sequence, truth, Settings(skip_frames=("x.tif",))))
 
 
 def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, Any]) -> None:

@@ -29,7 +29,9 @@ def test_every_setting_says_its_unit_stage_and_meaning() -> None:
 
 
 def test_settings_survive_a_toml_file(tmp_path: Path) -> None:
-    settings = Settings(rows=6, kappa=-0.2, dark_frame=Path('odd "name"\\dark.tif'))
+    settings = Settings(
+        rows=6, kappa=-0.2, dark_frame=Path('odd "name"\\dark.tif'), skip_frames=("a'b.tif",)
+    )
     path = tmp_path / "settings.toml"
     path.write_text(settings.to_toml(), encoding="utf-8")
     assert Settings.from_toml(path) == settings
