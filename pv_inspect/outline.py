@@ -208,8 +208,8 @@ def fit_pose(
     quarter_turns : int
         Which corner of the quadrilateral is the module's top left one, 0 to 3.
     distorted : bool
-        Whether kappa is fitted. Rounded corners of the outline look like distortion: then a fit
-        without it comes closer.
+        Whether kappa is fitted. Rounded corners of the outline, or dead cells in them, look like
+        distortion: then a fit without it comes closer.
 
     Returns
     -------
@@ -246,8 +246,11 @@ def fit_pose(
         distance = np.hypot(outside[:, 0], outside[:, 1]) + np.minimum(excess.max(axis=1), 0)
         return np.append(np.nan_to_num(distance * scale, nan=50.0), stiffness * parameters[8])
 
+    # Without distortion the quadrilateral is near, and what is missing of the outline can be
+    # ignored; with it, the middles of the sides may be far from the start.
+    loss, width_px = ("soft_l1", 1.0) if distorted else ("cauchy", 2.0)
     fit = least_squares(
-        residuals, np.append(first.ravel()[:8], 0.0), loss="soft_l1", f_scale=1.0, max_nfev=60
+        residuals, np.append(first.ravel()[:8], 0.0), loss=loss, f_scale=width_px, max_nfev=60
     )
     return pose(fit.x), float(np.median(np.abs(residuals(fit.x)[:-1])))
 
