@@ -80,9 +80,12 @@ def _option(setting: str, *names: str) -> Any:
     range_text = "" if low is None or high is None else f" {low:g} to {high:g}"
     number = isinstance(about.default, int | float)
     default = f"default {about.default:g}" if number else f"default {about.default}"
-    known = [f"{range_text}{unit_text}".strip(), default if about.default is not None else ""]
+    known = [f"{range_text}{unit_text}".strip(), default if about.default not in (None, ()) else ""]
     facts = ", ".join(fact for fact in known if fact)
-    return typer.Option(*spelled, help=f"{about.description}{f' [{facts}]' if facts else ''}")
+    text = f"{about.description}{f' [{facts}]' if facts else ''}"
+    if about.default == ():
+        return typer.Option(*spelled, help=f"{text} May be given several times.", metavar="NAME")
+    return typer.Option(*spelled, help=text)
 
 
 Debug = Annotated[
