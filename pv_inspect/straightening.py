@@ -23,7 +23,7 @@ Image = NDArray[np.float32]
 
 BLUR_LR_PX = 0.6
 """Standard deviation of the blur of a mean of frames: optics, aperture, interpolation."""
-NOISE_TO_SIGNAL = 0.01
+NOISE_TO_SIGNAL = 0.02
 SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.1)
 """A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
 SEARCH_UNITS = 0.05
