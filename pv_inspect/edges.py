@@ -175,12 +175,13 @@ def measure_edges(
     place = np.full(len(profiles), np.nan)
     sigma = np.full(len(profiles), np.inf)
     found = np.zeros(len(profiles), bool)
+    shapes = [GAP_SHAPES[0], GAP_SHAPES[0]]
     for axis in range(2):
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
         if inner.any():
-            shape = _best_shape(profiles[inner], x, search_px)
+            shapes[axis] = _best_shape(profiles[inner], x, search_px)
             place[inner], sigma[inner], found[inner] = _fit_gaps(
-                profiles[inner], x, search_px, shape
+                profiles[inner], x, search_px, shapes[axis]
             )
     with np.errstate(invalid="ignore"):
         found &= np.abs(place) <= search_px
@@ -191,7 +192,7 @@ def measure_edges(
             continue
         # Gaps between rows and between columns may differ in width.
         gaps = inner if inner.any() else found & edges.inner
-        gap = _gap_width(profiles[gaps], x, place[gaps])
+        gap = _gap_width(profiles[gaps], x, place[gaps], shapes[axis])
         turn = edges.side[outer] < 0
         flipped = np.where(turn[:, None], profiles[outer][:, ::-1], profiles[outer])
         step, deviation, good = _fit_steps(flipped, x, search_px)
@@ -380,10 +381,11 @@ def _fit_steps(profiles: Array, x: Array, search: float) -> tuple[Array, Array, 
     return place, sigma, inside & (top > 4 * rest)
 
 
-def _gap_width(profiles: Array, x: Array, place: Array) -> float:
+def _gap_width(profiles: Array, x: Array, place: Array, shape: GapShape) -> float:
     """Width of a gap from its missing light, which blur does not change; image pixels."""
     t = x - place[:, None]
-    beside = (np.abs(t) > 2.2) & (np.abs(t) <= 3.5)
+    half = max(2.2, shape.width / 2 + 2 * shape.blur)
+    beside = (np.abs(t) > half) & (np.abs(t) <= half + 1.3)
     left, right = (
         np.where(side, profiles, 0).sum(axis=1) / np.maximum(side.sum(axis=1), 1)
         for side in (beside & (t < 0), beside & (t > 0))
@@ -392,5 +394,5 @@ def _gap_width(profiles: Array, x: Array, place: Array) -> float:
     if not good.any():
         return 0.0
     level = np.where(t < 0, left[:, None], right[:, None])[good]
-    missing = np.where(np.abs(t[good]) <= 2.2, 1 - profiles[good] / level, 0).sum(axis=1)
+    missing = np.where(np.abs(t[good]) <= half, 1 - profiles[good] / level, 0).sum(axis=1)
     return float(np.clip(np.median(missing) * STEP_PX, 0, MAX_GAP_PX))
