@@ -27,7 +27,7 @@ __all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
 
 Array = NDArray[np.float64]
 
-MIN_EDGE_SHARE = 0.55
+MIN_EDGE_SHARE = 0.6
 """Share of the expected gaps that must be in place; dead cells and cracks hide some."""
 IN_PLACE_PX = 0.5
 FINER_SHARE = 0.85
