@@ -153,15 +153,17 @@ def register(
         )
     grid = HrGrid.covering(state.layout, state.lr_px_per_unit, REFERENCE_MAGNIFICATION, 0.1)
     rays = _rays(state.camera, sequence.shape)
+    anchor: Calibration | Registration = calibration
     total = len(ROUNDS) * len(sequence)
     done = 0
     for number, plan in enumerate(ROUNDS):
         if number == len(ROUNDS) - 1:
-            fine = HrGrid.covering(state.layout, state.lr_px_per_unit, STRAIGHTENING_MAGNIFICATION)
-            mean, _ = module_mean(sequence, state, fine)
-            calibration = _straightened(state, calibration, mean, fine, settings)
-            state = _with_poses(state, calibration)
-            rays = _rays(state.camera, sequence.shape)
+            free = settings.kappa is None and settings.calibration_file is None
+            slack = KAPPA_SLACK * calibration.kappa_std if free else 0.0
+            straight = _straightened(sequence, state, slack)
+            if straight is not None:
+                state = anchor = straight
+                rays = _rays(state.camera, sequence.shape)
         reference, covered = module_mean(sequence, state, grid)
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
@@ -200,7 +202,7 @@ def register(
                     "The frames do not agree with each other "
                     f"({_first_reason(state.why)}): check that they show the same module."
                 )
-    return _anchored(state, calibration)
+    return _anchored(state, anchor)
 
 
 def module_mean(
@@ -376,38 +378,25 @@ def _rejected(
     return replace(state, used=used, why=tuple(why), rms=rms)
 
 
-def _straightened(
-    state: Registration, calibration: Calibration, module: Image, grid: HrGrid, settings: Settings
-) -> Calibration:
-    """Refit camera and poses to the gaps of the module image, if they are seen well enough."""
+def _straightened(sequence: Sequence, state: Registration, kappa_std: float) -> Registration | None:
+    """Refit camera and poses to the gaps of the module image; None if they are not seen enough."""
     if state.used.sum() < MIN_FRAMES_TO_STRAIGHTEN:
-        return calibration
-    free = settings.kappa is None and settings.calibration_file is None
-    fitted = straighten(
-        module,
-        grid,
-        state.camera,
-        state.homographies[state.used],
-        KAPPA_SLACK * calibration.kappa_std if free else 0.0,
-    )
+        return None
+    grid = HrGrid.covering(state.layout, state.lr_px_per_unit, STRAIGHTENING_MAGNIFICATION)
+    module, _ = module_mean(sequence, state, grid)
+    fitted = straighten(module, grid, state.camera, state.homographies[state.used], kappa_std)
     if fitted is None:
-        return calibration
+        return None
     camera, poses = fitted
     homographies = state.homographies.copy()
     homographies[state.used] = poses
-    return replace(calibration, camera=camera, homographies=homographies)
+    return replace(state, camera=camera, homographies=homographies)
 
 
-def _with_poses(state: Registration, calibration: Calibration) -> Registration:
-    """Take camera and poses of a calibration and keep everything else."""
-    homographies = np.where(state.used[:, None, None], calibration.homographies, state.homographies)
-    return replace(state, camera=calibration.camera, homographies=homographies)
-
-
-def _anchored(state: Registration, calibration: Calibration) -> Registration:
+def _anchored(state: Registration, anchor: Calibration | Registration) -> Registration:
     """Choose the homography common to all frames so that the crossings stay where they were."""
     ideal = state.layout.crossings()
-    mean = _mean_crossings(state, calibration)
+    mean = _mean_crossings(state, anchor)
     good = np.isfinite(mean).all(axis=1)
     common, _ = cv2.findHomography(ideal[good], mean[good], 0)
     homographies = state.homographies.copy()
@@ -415,10 +404,10 @@ def _anchored(state: Registration, calibration: Calibration) -> Registration:
     return replace(state, homographies=homographies)
 
 
-def _mean_crossings(state: Registration, calibration: Calibration) -> Array:
-    """Where the crossing points of the calibration lie on the registered module, on average."""
+def _mean_crossings(state: Registration, anchor: Calibration | Registration) -> Array:
+    """Where the crossing points of other poses lie on the registered module, on average."""
     found = [
-        state.camera.unproject(state.homographies[i], calibration.crossings_px(i))
+        state.camera.unproject(state.homographies[i], anchor.crossings_px(i))
         for i in _indices(state.used)
     ]
     return np.asarray(np.nanmean(found, axis=0))

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+import pv_inspect.registration as registration_module
 from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equations
 from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
@@ -86,6 +87,26 @@ def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
     assert registration.used.all()
     assert before > 0.5
     assert _interframe_px(registration, simulation) < 0.02
+
+
+def test_poses_stay_registered_where_there_are_too_few_frames_to_straighten(
+    scene: tuple[Sequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence, truth, simulation = scene
+    used = np.arange(8) < 4
+    few = replace(_disturbed(truth, 1.0), used=used)
+    starts: list[np.ndarray] = []
+    align = registration_module._align
+
+    def watched(*arguments: Any) -> Any:
+        starts.append(arguments[6][0])
+        return align(*arguments)
+
+    monkeypatch.setattr(registration_module, "_align", watched)
+    registration = _finish(register(sequence, few, Settings()))
+    last = replace(registration, homographies=np.array([*starts[-4:], *starts[-4:]]))
+    assert _interframe_px(last, simulation) < 0.1
+    assert _interframe_px(registration, simulation) < 0.03
 
 
 def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration, Any]) -> None:
