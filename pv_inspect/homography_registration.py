@@ -20,7 +20,7 @@ from pv_inspect.camera import Camera
 from pv_inspect.detection import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.registration import Registration, module_mean
+from pv_inspect.registration import LEFT_OUT, Registration, module_mean
 from pv_inspect.sequence import Frame, Sequence
 from pv_inspect.settings import Settings
 
@@ -63,7 +63,8 @@ def register_by_homography(
         Only measured points count: they give the homographies to start from and, in the reference
         frame, the module plane.
     settings : Settings
-        ``focal_length_px`` is the gauge if given; pixels do not depend on it.
+        ``focal_length_px`` is the gauge if given; pixels do not depend on it. ``skip_frames`` and
+        ``keep_frames`` overrule what is used.
 
     Yields
     ------
@@ -88,6 +89,8 @@ def register_by_homography(
     layout = crossings.layout
     points = [_measured(frame.points_px, frame.measured, frame.why) for frame in crossings.frames]
     why = [frame.why or _too_few(p) for frame, p in zip(crossings.frames, points, strict=True)]
+    for index in sequence.indices(settings.skip_frames):
+        why[index] = why[index] or LEFT_OUT
     reference = _reference(points, why)
     plane = _homography(layout.crossings(), points[reference])
     if plane is None:
@@ -110,7 +113,7 @@ def register_by_homography(
             else:
                 warps[index] = found
         yield 0.85 * (index + 1) / len(sequence)
-    _reject_strangers(warps, why, reference)
+    _reject_strangers(warps, why, reference, sequence.indices(settings.keep_frames))
 
     homographies = np.full((len(sequence), 3, 3), np.nan)
     used = np.array([not reason for reason in why])
@@ -217,14 +220,16 @@ def _stray_cells(warp: Array, start: Array, points: Array, layout: ModuleLayout)
     return float(np.median(distance) / np.sqrt(area / (width * height)))
 
 
-def _reject_strangers(warps: dict[int, _Aligned], why: list[str], reference: int) -> None:
-    """Take out frames that correlate far less with the reference than the others do."""
+def _reject_strangers(
+    warps: dict[int, _Aligned], why: list[str], reference: int, kept: list[int]
+) -> None:
+    """Take out frames that correlate far less with the reference, unless a person keeps them."""
     others = {i: found.correlation for i, found in warps.items() if i != reference}
     if not others:
         return
     typical = float(np.median(list(others.values())))
     for index, correlation in others.items():
-        if correlation < MIN_CORRELATION * typical:
+        if correlation < MIN_CORRELATION * typical and index not in kept:
             why[index] = (
                 "it does not show the same module as the reference frame "
                 f"(correlation {correlation:.2f}, typically {typical:.2f})"

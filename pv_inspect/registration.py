@@ -42,6 +42,7 @@ ROUNDS = (_Round(2.5, 2, 5), _Round(1.0, 2, 3), _Round(0.0, 2, 3), _Round(0.0, 1
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 REFERENCE_MAGNIFICATION = 2.0
 STRAIGHTENING_MAGNIFICATION = 3.0
+LEFT_OUT = "left out as the settings say"
 KAPPA_SLACK = 3.0
 """The detection's own bias leaves kappa up to so many standard deviations off."""
 MIN_FRAMES_TO_STRAIGHTEN = 5
@@ -349,7 +350,7 @@ def _without_skipped(state: Registration, skipped: list[int]) -> Registration:
     used, why = state.used.copy(), list(state.why)
     for index in skipped:
         used[index] = False
-        why[index] = why[index] or "left out as the settings say"
+        why[index] = why[index] or LEFT_OUT
     return replace(state, used=used, why=tuple(why))
 
 

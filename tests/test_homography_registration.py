@@ -110,6 +110,13 @@ def test_distortion_costs_what_the_missing_model_leaves(straight: Scene, bent: S
     assert plain > 2 * straight.interframe_px(straight.plain)
 
 
+def test_a_person_may_leave_frames_out(straight: Scene) -> None:
+    settings = Settings(skip_frames=("frame_002.tif",))
+    registration = finish(register_by_homography(straight.sequence, straight.crossings, settings))
+    assert registration.used.tolist() == [True, True, False, True, True]
+    assert registration.why[2] == "left out as the settings say"
+
+
 def test_gains_and_residuals_come_with_it(straight: Scene) -> None:
     gains = np.array([pose.gain for pose in straight.simulation.poses])
     gains /= np.exp(np.log(gains).mean())
