@@ -163,6 +163,20 @@ class Settings(BaseModel):
         ge=0,
         le=1,
     )
+    detector: Literal["network", "ridge"] = _tunable(
+        "network",
+        Stage.CRACKS,
+        "1",
+        "What finds the cracks: a small network trained on labelled cells, or ridge filters.",
+    )
+    cell_width_mm: Finite | None = _tunable(
+        None,
+        Stage.CRACKS,
+        "mm",
+        "Pitch of the cells along a row; crack lengths are then given in mm as well.",
+        gt=0,
+        le=1000,
+    )
 
     @classmethod
     def create(cls, **values: Any) -> Settings:
