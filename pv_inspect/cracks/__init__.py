@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks.features import CLASS_RULE, CellFeatures, crack_marks, measure_cell
-from pv_inspect.cracks.isolation import Busbars, busbars_from_image, busbars_from_map
+from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.settings import Settings
@@ -24,7 +24,7 @@ _LEAST_BRIGHTNESS = 0.7
 
 __all__ = [
     "CLASS_RULE",
-    "Busbars",
+    "BusbarFinder",
     "CellFeatures",
     "CrackDetector",
     "CrackMap",

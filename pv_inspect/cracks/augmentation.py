@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cracks.labelled import CRACK
+from pv_inspect.cracks.network import CELL_PX, normalised
 
-__all__ = ["CELL_PX", "Augmentation", "normalised", "prepared"]
+__all__ = ["Augmentation", "prepared"]
 
 Image = NDArray[np.float32]
 Label = NDArray[np.uint8]
 
-# Longer side of a cell that the network sees.
-CELL_PX = 256
 # Cracks are thin: a pixel of the smaller label belongs to one from this share on.
 _CRACK_SHARE = 0.35
 
@@ -34,9 +33,7 @@ class Augmentation:
 
     degrade: bool = True
 
-    def __call__(
-        self, image: Label, label: Label, rng: np.random.Generator
-    ) -> tuple[Image, Label]:
+    def __call__(self, image: Label, label: Label, rng: np.random.Generator) -> tuple[Image, Label]:
         """Draw one version of a cell.
 
         Parameters
@@ -51,7 +48,7 @@ class Augmentation:
             Input of the network, `normalised`.
         label : (h, w) uint8
         """
-        seen, label = _moved(np.asarray(image, np.float32) / 255, label, rng)
+        seen, label = _moved(_array(image) / np.float32(255), label, rng)
         if self.degrade:
             seen, label = _corners_cut(seen, label, rng)
             seen = _exposed(_coarser(_lit(seen, rng), rng), rng)
@@ -80,12 +77,6 @@ def prepared(image: Label, label: Label) -> tuple[Label, Label]:
     return np.asarray(cv2.resize(image, size, interpolation=way)), np.asarray(small)
 
 
-def normalised(image: Image) -> Image:
-    """Input of the network: clip(x / p95 of the cell, 0, 1.5) * 2 - 1."""
-    bright = max(float(np.percentile(image, 95)), 1e-6)
-    return np.asarray(np.clip(image / bright, 0, 1.5) * 2 - 1, np.float32)
-
-
 def _moved(image: Image, label: Label, rng: np.random.Generator) -> tuple[Image, Label]:
     """Turned, flipped, and as a grid that is slightly off would have cut it."""
     turns = int(rng.integers(4))
@@ -106,14 +97,15 @@ def _moved(image: Image, label: Label, rng: np.random.Generator) -> tuple[Image,
 
 def _corners_cut(image: Image, label: Label, rng: np.random.Generator) -> tuple[Image, Label]:
     """Corners of wafers from round ingots."""
-    if rng.random() > 0.2:
+    if rng.random() > 0.35:
         return image, label
     h, w = image.shape
     y, x = np.mgrid[:h, :w].astype(np.float32)
-    size, level = rng.uniform(0.03, 0.1) * CELL_PX, rng.uniform(0, 0.25)
+    size, level = rng.uniform(0.03, 0.1) * CELL_PX, rng.uniform(0, 0.4)
+    soft = rng.uniform(1, 6)
     kept = np.ones((h, w), np.float32)
     for edge in (x + y, w - 1 - x + y, x + h - 1 - y, w - 1 - x + h - 1 - y):
-        kept = np.minimum(kept, np.clip((edge - size) / 2 + 0.5, 0, 1))
+        kept = np.minimum(kept, np.clip((edge - size) / soft + 0.5, 0, 1))
     return image * (level + (1 - level) * kept), np.where(kept < 0.5, np.uint8(0), label)
 
 
@@ -135,17 +127,17 @@ def _coarser(image: Image, rng: np.random.Generator) -> Image:
     if rng.random() < 0.65:
         sigma = rng.uniform(0.2, 2.0)
         turn = 2.0 ** rng.normal(0, 0.25)  # motion blur is not round
-        image = cv2.GaussianBlur(image, (0, 0), sigma * turn, sigmaY=sigma / turn)
+        image = _array(cv2.GaussianBlur(image, (0, 0), sigma * turn, sigmaY=sigma / turn))
     if rng.random() < 0.5:
         scale = rng.uniform(56, 200) / CELL_PX
         size = (max(round(w * scale), 4), max(round(h * scale), 4))
         down = cv2.INTER_AREA if rng.random() < 0.7 else cv2.INTER_LINEAR
         up = cv2.INTER_CUBIC if rng.random() < 0.7 else cv2.INTER_LINEAR
-        image = cv2.resize(image, size, interpolation=down)
+        image = _array(cv2.resize(image, size, interpolation=down))
         if rng.random() < 0.6:
             image = _exposed(image, rng)
-        image = cv2.resize(image, (w, h), interpolation=up)
-    return np.asarray(image, np.float32)
+        image = _array(cv2.resize(image, (w, h), interpolation=up))
+    return image
 
 
 def _exposed(image: Image, rng: np.random.Generator) -> Image:
@@ -160,4 +152,8 @@ def _exposed(image: Image, rng: np.random.Generator) -> Image:
             blur = rng.uniform(0.5, 1.2)  # what reconstruction makes of noise
             noise = cv2.GaussianBlur(noise, (0, 0), blur) * np.float32(2 * blur)
         image = image + np.float32(sigma) * noise
+    return np.asarray(image, np.float32)
+
+
+def _array(image: NDArray[np.generic]) -> Image:
     return np.asarray(image, np.float32)

@@ -19,6 +19,7 @@ _ORTHOGONAL = ((0, 1), (1, 0), (0, -1), (-1, 0))
 _DIAGONAL = ((1, 1), (1, -1), (-1, -1), (-1, 1))
 # Moving averages over this many pixels, twice, take the steps out of a chain of pixels.
 _WINDOW = 9
+_PINHOLE_PX = 6
 
 
 def skeleton_length(mask: Mask) -> float:
@@ -65,14 +66,14 @@ def branches(mask: Mask) -> list[Chain]:
     ]
     lacking = pad - near
     wide = np.pad(wide, [tuple(side) for side in lacking], mode="edge")
-    radius = cv2.distanceTransform(wide.astype(np.uint8), cv2.DIST_L2, 5)
+    wide = _without_pinholes(wide)
+    radius = np.asarray(cv2.distanceTransform(wide.astype(np.uint8), cv2.DIST_L2, 5), np.float32)
     # Guo and Hall's thinning keeps the ends of diagonal lines, Zhang and Suen's eats them.
     skeleton = thin(wide)  # type: ignore[no-untyped-call]
     inside = np.zeros(wide.shape, bool)
     h, w = wide.shape
     inside[lacking[0, 0] : h - lacking[0, 1], lacking[1, 0] : w - lacking[1, 1]] = True
-    points = {(int(y), int(x)) for y, x in np.argwhere(skeleton & inside)}
-    points = _without_twigs(points, radius)
+    points = _without_twigs(skeleton & inside, radius)
     corner = np.array([rows[0], cols[0]], np.float64) - pad
     return [_smooth(path) + corner for path in _paths(points)]
 
@@ -82,19 +83,31 @@ def length_of(chain: Chain) -> float:
     return float(np.hypot(*np.diff(chain, axis=0).T).sum())
 
 
-def _without_twigs(points: set[_Pixel], radius: NDArray[np.float32]) -> set[_Pixel]:
-    graph = _neighbours(points)
-    twigs: set[_Pixel] = set()
-    for path in _paths(points):
-        first, last = len(graph[path[0]]), len(graph[path[-1]])
-        if first != 1 and last != 1:
-            continue
-        if first == last:  # a line by itself
-            continue
-        trunk = path[-1] if first == 1 else path[0]
-        if len(path) <= 1.5 * float(radius[trunk]) + 1:
-            twigs.update(p for p in path if len(graph[p]) <= 2)
-    return points - twigs
+def _without_pinholes(mask: Mask) -> Mask:
+    """Mask with its smallest holes filled: each would become a ring."""
+    _, labels, facts, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    return mask | (facts[labels, cv2.CC_STAT_AREA] <= _PINHOLE_PX) & (labels > 0)
+
+
+def _without_twigs(skeleton: Mask, radius: NDArray[np.float32]) -> set[_Pixel]:
+    """Pixels of a skeleton without branches that end within the width of what they grow from."""
+    while True:
+        points = {(int(y), int(x)) for y, x in np.argwhere(skeleton)}
+        graph = _neighbours(points)
+        twigs: set[_Pixel] = set()
+        for path in _paths(points):
+            first, last = len(graph[path[0]]), len(graph[path[-1]])
+            if (first == 1) == (last == 1):  # a line by itself, or between junctions
+                continue
+            trunk = path[-1] if first == 1 else path[0]
+            if len(path) <= 1.5 * float(radius[trunk]) + 1:
+                twigs.update(p for p in path if len(graph[p]) <= 2)
+        if not twigs:
+            return points
+        skeleton = skeleton.copy()
+        skeleton[tuple(np.array(list(twigs)).T)] = False
+        # Without its twig, a junction may be thicker than a line.
+        skeleton = np.asarray(thin(skeleton))  # type: ignore[no-untyped-call]
 
 
 def _smooth(path: list[_Pixel]) -> Chain:

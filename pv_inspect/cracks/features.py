@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -12,7 +13,15 @@ from numpy.typing import NDArray
 from pv_inspect.cracks.centreline import branches, length_of
 from pv_inspect.cracks.isolation import Busbars, isolated_share
 
-__all__ = ["CLASS_RULE", "CellFeatures", "crack_marks", "measure_cell"]
+__all__ = [
+    "CLASS_RULE",
+    "FEATURES",
+    "CellFeatures",
+    "crack_marks",
+    "from_texts",
+    "measure_cell",
+    "texts",
+]
 
 CLASS_RULE = """\
 dark    at least half of the cell is dark: cracks are not judged
@@ -124,6 +133,32 @@ class CellFeatures:
         if self.isolated_brightness >= _CONNECTED:
             return "A"
         return "B" if self.isolated_brightness >= _DISCONNECTED else "C"
+
+
+# Names of the features, as in tables.
+FEATURES = tuple(spec.name for spec in fields(CellFeatures))[2:]
+
+
+def texts(cell: CellFeatures) -> list[str]:
+    """Features in the order of `FEATURES`, for a table."""
+    return [f"{getattr(cell, name):.6g}" for name in FEATURES]
+
+
+def from_texts(row: int, col: int, line: Mapping[str, str]) -> CellFeatures:
+    """Read features from a line of a table; what a table of an older version lacks is unknown.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If a value is missing or no number.
+    """
+    counts = {spec.name for spec in fields(CellFeatures) if spec.type == "int"}
+    values = {
+        name: int(line[name]) if name in counts else float(line[name])
+        for name in FEATURES
+        if name in line
+    }
+    return CellFeatures(row=row, col=col, **values)  # type: ignore[arg-type]
 
 
 def crack_marks(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cracks.flatten import CELL_PX, find_lines
 
-__all__ = ["Busbars", "busbars_from_map", "busbars_from_image", "isolated_share"]
+__all__ = ["Busbars", "busbars_from_image", "busbars_from_map", "isolated_share"]
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -121,27 +121,25 @@ def isolated_share(cracks: Mask, busbars: Busbars) -> NDArray[np.float32]:
         turned = Busbars(True, busbars.lines)
         return np.ascontiguousarray(isolated_share(cracks.T, turned).T)
     cracks = cracks & ~busbars.lines[:, None]
-    row = np.arange(cracks.shape[0])[:, None]
     bars = np.broadcast_to(busbars.lines[:, None], cracks.shape)
+    fed_above, free_above = _from_above(cracks, bars)
+    fed_below, free_below = (part[::-1] for part in _from_above(cracks[::-1], bars[::-1]))
+    free_below = np.where(free_below >= 0, len(cracks) - 1 - free_below, -1)
+    cut = ~(fed_above | fed_below | cracks)
+    # A pixel of a crack looks at the first ones above and below it that are none; there is
+    # nothing cut off beyond the edge.
+    share = np.zeros(cracks.shape, np.float32)
+    for rows in (free_above, free_below):
+        met = np.asarray(np.take_along_axis(cut, np.maximum(rows, 0), 0), bool)
+        share += 0.5 * (met & (rows >= 0))
+    return np.where(cracks, share, cut).astype(np.float32)
+
+
+def _from_above(cracks: Mask, bars: Mask) -> tuple[Mask, NDArray[np.intp]]:
+    """Whether each pixel is fed from above, and the row of the next one above that is no crack."""
+    row = np.arange(cracks.shape[0])[:, None]
 
     def last(mask: Mask) -> NDArray[np.intp]:
-        """Row of the last marked pixel above each pixel or at it, -1 if there is none."""
         return np.maximum.accumulate(np.where(mask, row, -1), axis=0)
 
-    def from_above(cracks: Mask, bars: Mask) -> tuple[Mask, NDArray[np.intp]]:
-        return last(bars) > last(cracks), last(~cracks)
-
-    above, free_above = from_above(cracks, bars)
-    below, free_below = (
-        np.flipud(part) for part in from_above(np.flipud(cracks), np.flipud(bars))
-    )
-    cut = ~(above | below | cracks)
-    n = cracks.shape[0]
-    free_below = np.where(free_below >= 0, n - 1 - free_below, -1)
-
-    def cut_at(rows: NDArray[np.intp]) -> Mask:
-        """Whether the pixel of that row, same column, is cut off; beyond the edge none is."""
-        return np.take_along_axis(cut, np.maximum(rows, 0), 0) & (rows >= 0)
-
-    share = 0.5 * (cut_at(free_above).astype(np.float32) + cut_at(free_below))
-    return np.where(cracks, share, cut).astype(np.float32)
+    return last(bars) > last(cracks), last(~cracks)

@@ -48,7 +48,7 @@ class LabelledCell:
     @property
     def crack(self) -> NDArray[np.bool_]:
         """Mask of the crack pixels."""
-        return self.label == CRACK
+        return np.asarray(self.label == CRACK)
 
 
 def read_labelled(folder: Path) -> list[LabelledCell]:

@@ -18,20 +18,27 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.cracks.augmentation import CELL_PX, normalised
 from pv_inspect.cracks.labelled import BUSBAR, CLASSES, CRACK
 from pv_inspect.errors import InspectionError
 
-__all__ = ["MODELS", "CrackModel", "NetworkDetector"]
+__all__ = ["CELL_PX", "MODELS", "CrackModel", "NetworkDetector", "normalised"]
 
 Image = NDArray[np.float32]
 
+# Longer side of a cell that the network sees.
+CELL_PX = 256
 _FOLDER = Path(__file__).with_name("models")
 # Models of the package: the default, and the reference trained without degradation.
 MODELS = ("default", "sharp")
 # The network halves the image four times. OpenCV cuts silently what does not fit.
 _STRIDE = 16
 _BATCH = 8
+
+
+def normalised(image: Image) -> Image:
+    """Input of the network: clip(x / p95 of the cell, 0, 1.5) * 2 - 1."""
+    bright = max(float(np.percentile(image, 95)), 1e-6)
+    return np.asarray(np.clip(image / bright, 0, 1.5) * 2 - 1, np.float32)
 
 
 @dataclass(frozen=True, eq=False)

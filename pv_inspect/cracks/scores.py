@@ -94,7 +94,7 @@ def pixel_score(pairs: Iterable[tuple[Image, Mask]], tolerance_px: int = 2) -> P
         near = cv2.dilate(mask.astype(np.uint8), disc) > 0
         hit += above(probability[near])
         marked += above(probability)
-        found += above(np.asarray(cv2.dilate(probability, disc))[mask])
+        found += above(np.asarray(cv2.dilate(probability, disc), np.float32)[mask])
         cracks += int(mask.sum())
     precision = np.where(marked > 0, hit / np.maximum(marked, 1), 1.0)
     recall = found / max(cracks, 1)
@@ -159,7 +159,9 @@ def coarse_score(
     score = np.concatenate([p.ravel() for p in maps])
     truth = np.concatenate([m.ravel() for m in masks])
     levels = LEVELS if level is None else np.array([level])
-    f1s = [2 * ((score >= t) & truth).sum() / max((score >= t).sum() + truth.sum(), 1) for t in levels]
+    f1s = [
+        2 * ((score >= t) & truth).sum() / max((score >= t).sum() + truth.sum(), 1) for t in levels
+    ]
     best = int(np.argmax(f1s))
     cut = float(levels[best])
     counts = np.sum([_instances(p >= cut, m) for p, m in zip(maps, masks, strict=True)], axis=0)

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from pv_inspect.cracks.augmentation import CELL_PX, Augmentation, normalised, prepared
+from pv_inspect.cracks.augmentation import Augmentation, prepared
 from pv_inspect.cracks.labelled import (
     CLASSES,
     CRACK,
@@ -41,6 +41,7 @@ from pv_inspect.cracks.labelled import (
     read_labelled,
     split_modules,
 )
+from pv_inspect.cracks.network import CELL_PX, normalised
 from pv_inspect.cracks.scores import pixel_score
 
 __all__ = ["CrackNet", "Recipe", "probabilities", "train", "write_onnx"]
@@ -115,7 +116,7 @@ class CrackNet(nn.Module):
         """Return the logits."""
         features = [self.stem(x)]
         for down in self.down:
-            features.append(down(features[-1]))  # noqa: PERF401
+            features.append(down(features[-1]))
         y = features.pop()
         for narrow, up in zip(reversed(self.narrow), reversed(self.up), strict=True):
             y = functional.interpolate(narrow(y), scale_factor=2.0, mode="nearest")

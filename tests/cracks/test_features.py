@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell, skeleton_length
+from pv_inspect.cracks.centreline import skeleton_length
+from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell
 
 SIDE = 200
 
