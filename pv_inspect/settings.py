@@ -155,11 +155,11 @@ class Settings(BaseModel):
         ge=1,
         le=1000,
     )
-    crack_threshold: Finite = _tunable(
-        0.5,
+    crack_threshold: Finite | None = _tunable(
+        None,
         Stage.CRACKS,
         "probability",
-        "Probability above which a pixel counts as crack.",
+        "Probability above which a pixel counts as crack; the detector's own if not given.",
         ge=0,
         le=1,
     )

@@ -6,14 +6,20 @@ What finds the cracks is exchangeable: anything with the two members of `CrackDe
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
-from pv_inspect.cracks.features import CLASS_RULE, CellFeatures, crack_marks, measure_cell
+from pv_inspect.cracks.features import (
+    CLASS_RULE,
+    CellFeatures,
+    OperatingPoint,
+    crack_marks,
+    measure_cell,
+)
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
@@ -29,10 +35,13 @@ __all__ = [
     "CrackDetector",
     "CrackMap",
     "NetworkDetector",
+    "Operated",
+    "OperatingPoint",
     "RidgeDetector",
     "crack_marks",
     "detector_of",
     "measure_cell",
+    "operating_point_of",
     "read_cracks",
 ]
 
@@ -49,6 +58,15 @@ class CrackDetector(Protocol):
 
         Tiles may have any brightness scale; no pixel is NaN.
         """
+
+
+@runtime_checkable
+class Operated(Protocol):
+    """A detector that has an operating point of its own."""
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """From when on its answer counts as a crack."""
 
 
 @runtime_checkable
@@ -72,12 +90,15 @@ class CrackMap:
     detector : str
     cells : tuple of CellFeatures
         Row-major.
+    least_extent_cells : float
+        Marks that are shorter count as no crack in ``cells``.
     """
 
     probability: NDArray[np.float32]
     threshold: float
     detector: str
     cells: tuple[CellFeatures, ...]
+    least_extent_cells: float = OperatingPoint.least_extent_cells
 
 
 def detector_of(settings: Settings) -> CrackDetector:
@@ -89,6 +110,13 @@ def detector_of(settings: Settings) -> CrackDetector:
         If its model is missing or altered.
     """
     return RidgeDetector() if settings.detector == "ridge" else NetworkDetector()
+
+
+def operating_point_of(detector: CrackDetector, settings: Settings) -> OperatingPoint:
+    """Operating point of a detector with the threshold of the settings, if they have one."""
+    own = detector.operating_point if isinstance(detector, Operated) else OperatingPoint()
+    threshold = settings.crack_threshold
+    return own if threshold is None else replace(own, threshold=threshold)
 
 
 def read_cracks(
@@ -119,6 +147,7 @@ def read_cracks(
         If the model of the detector is missing or altered.
     """
     detector = detector if detector is not None else detector_of(settings)
+    point = operating_point_of(detector, settings)
     images = tiles.images
     rows, cols = images.shape[:2]
     usual = float(np.median(images))
@@ -142,17 +171,20 @@ def read_cracks(
         measure_cell(
             images[row, col],
             maps[row, col],
-            settings.crack_threshold,
+            point.threshold,
             row=row,
             col=col,
             cell_width_px=tiles.grid.pixels_per_unit,
             usual_intensity=usual,
             busbars=busbars,
             cell_width_mm=settings.cell_width_mm,
+            least_extent_cells=point.least_extent_cells,
         )
         for row, col in np.ndindex(rows, cols)
     )
-    return CrackMap(tiles.assemble(maps), settings.crack_threshold, detector.name, cells)
+    return CrackMap(
+        tiles.assemble(maps), point.threshold, detector.name, cells, point.least_extent_cells
+    )
 
 
 def _lifted(tile: NDArray[np.float32], usual: float) -> NDArray[np.float32]:

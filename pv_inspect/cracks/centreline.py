@@ -86,7 +86,8 @@ def length_of(chain: Chain) -> float:
 def _without_pinholes(mask: Mask) -> Mask:
     """Mask with its smallest holes filled: each would become a ring."""
     _, labels, facts, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
-    return mask | (facts[labels, cv2.CC_STAT_AREA] <= _PINHOLE_PX) & (labels > 0)
+    small = facts[labels, cv2.CC_STAT_AREA] <= _PINHOLE_PX
+    return np.asarray(mask | (small & (labels > 0)))
 
 
 def _without_twigs(skeleton: Mask, radius: NDArray[np.float32]) -> set[_Pixel]:

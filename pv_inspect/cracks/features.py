@@ -17,6 +17,7 @@ __all__ = [
     "CLASS_RULE",
     "FEATURES",
     "CellFeatures",
+    "OperatingPoint",
     "crack_marks",
     "from_texts",
     "measure_cell",
@@ -34,9 +35,8 @@ unknown cracks, but no busbars were found
 """
 
 # A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
-# smallest rectangle in cell widths, and that side over the other one; a large mark may be a
-# crack that branches and need not be slender.
-MIN_EXTENT_CELLS = 0.15
+# smallest rectangle over the other one; a large mark (cell widths) may be a crack that branches
+# and need not be slender.
 MIN_SLENDERNESS = 2.0
 _LARGE_EXTENT_CELLS = 0.25
 # A cell that is dark in at least this share has no current through it: what looks like a crack in
@@ -53,6 +53,22 @@ _SCORE_WIDTH_CELLS = 0.01
 # be cut off relative to the rest of the cell.
 _LEAST_ISOLATED = 0.01
 _CONNECTED, _DISCONNECTED = 0.8, 0.4
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """From when on a detector's answer counts as a crack.
+
+    Parameters
+    ----------
+    threshold : float
+        Least probability of a pixel.
+    least_extent_cells : float
+        Least length of a mark, cell widths.
+    """
+
+    threshold: float = 0.5
+    least_extent_cells: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -162,7 +178,10 @@ def from_texts(row: int, col: int, line: Mapping[str, str]) -> CellFeatures:
 
 
 def crack_marks(
-    probability: NDArray[np.float32], threshold: float, cell_width_px: float
+    probability: NDArray[np.float32],
+    threshold: float,
+    cell_width_px: float,
+    least_extent_cells: float = OperatingPoint.least_extent_cells,
 ) -> list[NDArray[np.bool_]]:
     """Find the marks of a cell that a crack could have made.
 
@@ -174,26 +193,28 @@ def crack_marks(
         Pixels with at least this probability belong to marks.
     cell_width_px : float
         Pixels per cell width.
+    least_extent_cells : float
+        Cell widths.
 
     Returns
     -------
     list of (h, w) bool
-        8-connected; the smallest rectangle around each is at least 0.15 cell widths long, and
-        twice as long as wide unless it is longer than 0.25.
+        8-connected; the smallest rectangle around each is at least ``least_extent_cells`` long,
+        and twice as long as wide unless it is longer than 0.25 cell widths.
     """
     mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
     n_labels, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     marks = []
     for k in range(1, n_labels):
         x, y, width, height, _ = boxes[k]
-        if np.hypot(width, height) < MIN_EXTENT_CELLS * cell_width_px:
+        if np.hypot(width, height) < least_extent_cells * cell_width_px:
             continue
         pixels = np.argwhere(labels[y : y + height, x : x + width] == k).astype(np.float32)
         # The rectangle goes through the centres of pixels, which reach half a pixel further.
         short, long = sorted(side + 1 for side in cv2.minAreaRect(pixels)[1])
         extent = long / cell_width_px
         slender = long >= MIN_SLENDERNESS * short or extent >= _LARGE_EXTENT_CELLS
-        if extent >= MIN_EXTENT_CELLS and slender:
+        if extent >= least_extent_cells and slender:
             marks.append(labels == k)
     return marks
 
@@ -209,6 +230,7 @@ def measure_cell(
     usual_intensity: float,
     busbars: Busbars | None = None,
     cell_width_mm: float | None = None,
+    least_extent_cells: float = OperatingPoint.least_extent_cells,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -227,6 +249,8 @@ def measure_cell(
     busbars : Busbars, optional
         Where the busbars lie; without them nothing is said about isolated areas.
     cell_width_mm : float, optional
+    least_extent_cells : float
+        See `crack_marks`.
 
     Returns
     -------
@@ -234,7 +258,9 @@ def measure_cell(
     """
     dark_share, largest_dark = _dark_shares(tile, usual_intensity, cell_width_px)
     readable = dark_share < _DARK_CELL_SHARE
-    marks = crack_marks(probability, threshold, cell_width_px) if readable else []
+    marks = (
+        crack_marks(probability, threshold, cell_width_px, least_extent_cells) if readable else []
+    )
     chains = [chain for mark in marks for chain in branches(mark)]
     length = sum(length_of(chain) for chain in chains) / cell_width_px
     isolated, brightness = _isolated(tile, marks, busbars)

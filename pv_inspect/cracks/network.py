@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cracks.features import OperatingPoint
 from pv_inspect.cracks.labelled import BUSBAR, CLASSES, CRACK
 from pv_inspect.errors import InspectionError
 
@@ -55,6 +56,8 @@ class CrackModel:
         Of the ONNX file.
     slope, offset : float
         Calibration: log odds = ``slope`` * (log odds of the network) + ``offset``.
+    operating_point : OperatingPoint
+        With calibrated probability.
     """
 
     path: Path
@@ -62,6 +65,7 @@ class CrackModel:
     sha256: str
     slope: float
     offset: float
+    operating_point: OperatingPoint
 
     @classmethod
     def read(cls, path: Path) -> CrackModel:
@@ -93,6 +97,7 @@ class CrackModel:
                 str(stored["sha256"]),
                 float(stored["calibration"]["slope"]),
                 float(stored["calibration"]["offset"]),
+                OperatingPoint(**{k: float(v) for k, v in stored["operating_point"].items()}),
             )
         except (ValueError, KeyError, TypeError) as error:
             raise InspectionError(
@@ -130,6 +135,11 @@ class NetworkDetector:
     def name(self) -> str:
         """Name for reports, with what it was trained on."""
         return self._model.name
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """Where the model finds at least 95 % of the cells with cracks (see the model card)."""
+        return self._model.operating_point
 
     def probability(self, tile: Image) -> Image:
         """Return the crack probability of every pixel of a cell.

@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from pv_inspect.cracks import BusbarFinder, CrackDetector
+from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
@@ -178,6 +178,7 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
         See `read_cell`.
     """
     image = read_cell(path)
+    point = operating_point_of(detector, settings)
     if isinstance(detector, BusbarFinder):
         probability, bars = detector.read(image)
         busbars = busbars_from_map(bars)
@@ -187,13 +188,14 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
     features = measure_cell(
         image,
         probability,
-        settings.crack_threshold,
+        point.threshold,
         row=0,
         col=0,
         cell_width_px=float(image.shape[1]),
         usual_intensity=_USUAL_OF_BRIGHT * float(np.percentile(image, 95)),
         busbars=busbars,
         cell_width_mm=settings.cell_width_mm,
+        least_extent_cells=point.least_extent_cells,
     )
     return PlainCell(path.stem, probability, features)
 

@@ -5,7 +5,8 @@
     python -m pv_inspect.cracks.train CELLS OUT --sharp            no degradation of the cells
 
 CELLS holds train/ and val/, each with img/ and ann/ (see `pv_inspect.cracks.labelled`). OUT gets
-network.onnx, state.pt and log.csv. Needs ``pip install "pv-inspect[train]"``; inference does not.
+network.onnx with its description network.json, state.pt and log.csv. Needs
+``pip install "pv-inspect[train]"``; inference does not.
 
 The network is a U-Net with additive skips [1]_ at half the resolution of its input: cracks are
 found by context, and the four sub-pixels of a position are one convolution of the last features.
@@ -20,11 +21,14 @@ from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
+import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,6 +38,7 @@ from torch import nn
 from torch.nn import functional
 
 from pv_inspect.cracks.augmentation import Augmentation, prepared
+from pv_inspect.cracks.judging import as_they_are, degraded, operating_point
 from pv_inspect.cracks.labelled import (
     CLASSES,
     CRACK,
@@ -41,10 +46,11 @@ from pv_inspect.cracks.labelled import (
     read_labelled,
     split_modules,
 )
-from pv_inspect.cracks.network import CELL_PX, normalised
+from pv_inspect.cracks.network import CELL_PX, NetworkDetector, normalised
+from pv_inspect.cracks.reliability import fit_calibration
 from pv_inspect.cracks.scores import pixel_score
 
-__all__ = ["CrackNet", "Recipe", "probabilities", "train", "write_onnx"]
+__all__ = ["CrackNet", "Recipe", "describe", "probabilities", "train", "write_onnx"]
 
 _CHANNELS = (16, 32, 64, 96)
 # Weights of the cross entropy, in the order of CLASSES: rare classes count more.
@@ -294,6 +300,43 @@ def write_onnx(net: nn.Module, path: Path) -> None:
     )
 
 
+def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0) -> None:
+    """Calibrate a network, choose its operating point, and write the description beside it.
+
+    Half of the pixels that the calibration is fitted to are of cells as they are, half of cells
+    as `Augmentation` degrades them: super-resolved tiles lie in between.
+
+    Parameters
+    ----------
+    network : Path
+        ONNX file.
+    name : str
+        For reports: the network, and what it was trained on.
+    judged : list of LabelledCell
+        Cells that the network has not learnt from.
+    seed : int
+        For the degradation.
+    """
+    about: dict[str, Any] = {
+        "name": name,
+        "sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
+        "classes": CLASSES,
+        "calibration": {"slope": 1.0, "offset": 0.0},
+        "operating_point": {"threshold": 0.5, "least_extent_cells": 0.05},
+    }
+    path = network.with_suffix(".json")
+    path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    detector = NetworkDetector(network)
+    pairs = [*as_they_are(detector, judged), *degraded(detector, judged, seed)]
+    slope, offset = fit_calibration(pairs)
+    about["calibration"] = {"slope": round(slope, 5), "offset": round(offset, 5)}
+    path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    maps = list(as_they_are(NetworkDetector(network), judged))
+    point = operating_point(maps)
+    about["operating_point"] = asdict(point)
+    path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Train as the command line says."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
@@ -303,6 +346,7 @@ def main() -> None:
     parser.add_argument("--sharp", action="store_true", help="no degradation of the cells")
     parser.add_argument("--steps", type=int, default=Recipe.steps)
     parser.add_argument("--seed", type=int, default=Recipe.seed)
+    parser.add_argument("--name", default="network trained on own cells", help="for reports")
     parser.add_argument("--threads", type=int, default=2)
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
@@ -314,6 +358,8 @@ def main() -> None:
     recipe = Recipe(steps=options.steps, degrade=not options.sharp, seed=options.seed)
     net = train(cells, judged, options.out, recipe)
     write_onnx(net, options.out / "network.onnx")
+    kind = "sharp cells only" if options.sharp else "degraded cells"
+    describe(options.out / "network.onnx", f"{options.name}, {kind}", judged)
 
 
 if __name__ == "__main__":
