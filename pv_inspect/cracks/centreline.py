@@ -20,6 +20,7 @@ _DIAGONAL = ((1, 1), (1, -1), (-1, -1), (-1, 1))
 # Moving averages over this many pixels, twice, take the steps out of a chain of pixels.
 _WINDOW = 9
 _PINHOLE_PX = 6
+_MARCH_PX = 0.25
 
 
 def skeleton_length(mask: Mask) -> float:
@@ -75,7 +76,16 @@ def branches(mask: Mask) -> list[Chain]:
     inside[lacking[0, 0] : h - lacking[0, 1], lacking[1, 0] : w - lacking[1, 1]] = True
     points = _without_twigs(skeleton & inside, radius)
     corner = np.array([rows[0], cols[0]], np.float64) - pad
-    return [_smooth(path) + corner for path in _paths(points)]
+    graph = _neighbours(points)
+    chains = []
+    for path in _paths(points):
+        chain = _smooth(path)
+        if len(graph[path[-1]]) == 1:
+            chain = _ended(chain, wide, inside, radius)
+        if len(graph[path[0]]) == 1:
+            chain = _ended(chain[::-1], wide, inside, radius)[::-1]
+        chains.append(chain + corner)
+    return chains
 
 
 def length_of(chain: Chain) -> float:
@@ -109,6 +119,32 @@ def _without_twigs(skeleton: Mask, radius: NDArray[np.float32]) -> set[_Pixel]:
         skeleton[tuple(np.array(list(twigs)).T)] = False
         # Without its twig, a junction may be thicker than a line.
         skeleton = np.asarray(thin(skeleton))  # type: ignore[no-untyped-call]
+
+
+def _ended(chain: Chain, mask: Mask, inside: Mask, radius: NDArray[np.float32]) -> Chain:
+    """Chain whose last point lies half a line's width before the end of the mask.
+
+    Thinning takes more or less away from the end of a line, which is as round as it is wide. What
+    the edge of the image cuts has no end there.
+    """
+    reach = min(_WINDOW - 1, len(chain) - 1)
+    way = chain[-1] - chain[-1 - reach]
+    if reach < 3 or not way.any():
+        return chain
+    way = way / np.hypot(*way)
+    ahead = chain[-1] + np.arange(0, 4 * radius.max() + 2, _MARCH_PX)[:, None] * way
+    y, x = np.clip(np.rint(ahead).astype(int), 0, np.array(mask.shape) - 1).T
+    n = int(np.argmin(mask[y, x] & inside[y, x]))
+    if not inside[y[n], x[n]]:
+        return np.vstack([chain, ahead[n : n + 1]])
+    back = np.rint(chain[-1 - reach]).astype(int)
+    missing = n * _MARCH_PX - (float(radius[back[0], back[1]]) - 0.5)
+    if missing > 0:
+        return np.vstack([chain, chain[-1:] + missing * way])
+    along = np.concatenate([[0.0], np.hypot(*np.diff(chain, axis=0).T).cumsum()])
+    end = max(along[-1] + missing, 0.0)
+    last = [np.interp(end, along, chain[:, k]) for k in (0, 1)]
+    return np.vstack([chain[along < end], last])
 
 
 def _smooth(path: list[_Pixel]) -> Chain:
