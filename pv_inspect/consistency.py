@@ -94,4 +94,3 @@ class Consistency:
             borderMode=cv2.BORDER_REPLICATE,
         )
         return np.asarray(enlarged, np.float32)
-

@@ -153,7 +153,10 @@ class HrGrid:
 
     def window(self, rows: slice, cols: slice) -> HrGrid:
         """Return the grid of a part of the image, given as [row, col] slices within it."""
-        (top, bottom, _), (left, right, _) = rows.indices(self.shape[0]), cols.indices(self.shape[1])
+        (top, bottom, _), (left, right, _) = (
+            rows.indices(self.shape[0]),
+            cols.indices(self.shape[1]),
+        )
         origin = (self.origin_px[0] - left, self.origin_px[1] - top)
         shape = (bottom - top, right - left)
         return HrGrid(self.layout, self.pixels_per_unit, origin, shape, self.magnification)

@@ -10,7 +10,7 @@ the taps reach enter one by one, see `pv_inspect.motion`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -270,7 +270,14 @@ class NormalEquations:
         shape = model.grid.shape
         return cls(model, Stencil.zeros(shape, dtype), np.zeros(shape, dtype))
 
-    def add(self, H: Array, g: Image, weights: Image, motion: Array = STILL) -> None:
+    def add(
+        self,
+        H: Array,
+        g: Image,
+        weights: Image,
+        motion: Array = STILL,
+        rays: SensorRays | None = None,
+    ) -> None:
         """Add one frame.
 
         Parameters
@@ -282,11 +289,13 @@ class NormalEquations:
             1 / variance per LR pixel; 0 where it must not count.
         motion : (3,) float64
             See `pv_inspect.motion.motion_of`.
+        rays : SensorRays, optional
+            Rays of g if it is only a part of the frame; default: those of the model.
         """
-        model = self.model
+        model = self.model if rays is None else replace(self.model, rays=rays)
         rays = model.rays
         if model.samples(motion) > 1:
-            self._add_moving(H, g, weights, motion)
+            self._add_moving(model, H, g, weights, motion)
             return
         self.n_still += 1
         energy, n = _accumulate(
@@ -303,8 +312,9 @@ class NormalEquations:
         self.energy += float(energy)
         self.n_pixels += int(n)
 
-    def _add_moving(self, H: Array, g: Image, weights: Image, motion: Array) -> None:
-        model = self.model
+    def _add_moving(
+        self, model: ObservationModel, H: Array, g: Image, weights: Image, motion: Array
+    ) -> None:
         kind = self.back_projection.dtype
         frame = model.moving(H, motion, weights > 0, kind)
         values = g.reshape(-1)[frame.pixels].astype(kind)

@@ -6,8 +6,12 @@ and the solver starts from the image before.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,18 +19,37 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.psf_estimation import View, cut_view
-from pv_inspect.reconstruction import Reconstruction, observed
+from pv_inspect.reconstruction import Reconstruction, brightness_of, observed
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
-from pv_inspect.solver import Problem, first_guess, minimise
+from pv_inspect.solver import Problem, Solution, first_guess, minimise
 
-__all__ = ["Preview", "Region"]
+__all__ = ["Preview", "Region", "RegionImage"]
 
 Image = NDArray[np.float32]
 
 # Around the cell, so that what lies beyond its border has the chance to explain the LR pixels.
 _MARGIN_LR_PX = 4.0
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+    """Run compiled code on one thread: on so few pixels more of them wait for each other."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> T:
+        threads = numba.get_num_threads()
+        numba.set_num_threads(1)
+        try:
+            return function(*args, **kwargs)
+        finally:
+            numba.set_num_threads(threads)
+
+    return run
 
 
 @dataclass(frozen=True)
@@ -47,16 +70,46 @@ class Region:
     cols: int = 1
 
 
+@dataclass(frozen=True, eq=False)
+class RegionImage:
+    """Reconstruction of a region.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        Intensities, full scale = 1.
+    grid : HrGrid
+        Where its pixels lie on the module.
+    cell : tuple of slice
+        [row, col] slices of the region without its margin.
+    prior_weight, psf_sigma_lr_px : float
+        lambda and optical blur that were used.
+    iterations : int
+    """
+
+    image: Image
+    grid: HrGrid
+    cell: tuple[slice, slice]
+    prior_weight: float
+    psf_sigma_lr_px: float
+    iterations: int
+
+
 class Preview:
-    """Reconstructs parts of one module.
+    """Reconstructs parts of one module again and again.
 
     Parameters
     ----------
     sequence : Sequence
     registration : Registration
     whole : Reconstruction
-        Result for the whole module: PSF, motion and lambda are taken from it where the settings
-        leave them open.
+        Of the whole module: PSF, motion and lambda are taken from it where the settings leave
+        them open, and the brightness that the prior measures contrast against.
+
+    Notes
+    -----
+    A change of lambda or of the prior keeps the equations; a change of the PSF, of the region or
+    of the magnification builds them again from the part of the frames that sees the region.
     """
 
     def __init__(
@@ -65,33 +118,116 @@ class Preview:
         self._sequence = sequence
         self._registration = registration
         self._whole = whole
+        self._brightness = brightness_of(whole.image, whole.grid)
         self._rays = SensorRays.of(registration.camera, sequence.shape)
-        self._key: tuple[object, ...] = ()
+        self._place: tuple[Region, float] | None = None
+        self._grid: HrGrid | None = None
+        self._views: list[tuple[int, View]] = []
+        self._sigma = float("nan")
         self._equations: NormalEquations | None = None
-        self._views: list[View] = []
         self._image: Image | None = None
 
-    def grid(self, region: Region, magnification: float) -> HrGrid:
-        """Return the grid of a region with its margin.
+    def moved(self, registration: Registration) -> Preview:
+        """Return the preview for another geometry, after a change of kappa say.
+
+        It starts from the image that this one has.
+        """
+        other = Preview(self._sequence, registration, self._whole)
+        other._image = self._image
+        return other
+
+    @_on_one_thread
+    def show(self, region: Region, settings: Settings) -> RegionImage:
+        """Reconstruct a region.
+
+        Parameters
+        ----------
+        region : Region
+        settings : Settings
+
+        Returns
+        -------
+        RegionImage
 
         Raises
         ------
         InspectionError
-            If the module has no such cells.
+            If the module has no such region, or no frame sees it.
         """
+        grid, cell = self._window(region, settings.magnification)
+        given = settings.psf_sigma_lr_px
+        sigma = self._whole.psf_sigma_lr_px if given is None else given
+        place = (region, settings.magnification)
+        if place != self._place:
+            self._views = self._cut(grid, region)
+            self._equations = None
+            self._place = place
+        if self._equations is None or sigma != self._sigma:
+            self._equations = self._built(grid, sigma)
+            self._sigma = sigma
+        equations = self._equations
+        given = settings.prior_weight
+        weight = self._whole.prior_weight if given is None else given
+        start = self._image
+        if start is None or start.shape != grid.shape:
+            start = first_guess(equations)
+        problem = Problem(equations, weight, self._brightness)
+        solution = _solved(minimise(problem, start, settings.max_iterations))
+        self._image = np.asarray(solution.image, np.float32)
+        return RegionImage(self._image, grid, cell, weight, sigma, solution.iterations)
+
+    def _window(self, region: Region, magnification: float) -> tuple[HrGrid, tuple[slice, slice]]:
+        """Grid of a region with its margin, and the region within it."""
         layout = self._registration.layout
         last = (region.row + region.rows - 1, region.col + region.cols - 1)
-        if not (0 <= region.row <= last[0] < layout.rows and 0 <= region.col <= last[1] < layout.cols):
+        if not (
+            0 <= region.row <= last[0] < layout.rows and 0 <= region.col <= last[1] < layout.cols
+        ):
             raise InspectionError(
-                f"There is no region of {region.rows} x {region.cols} cells at row {region.row}, "
-                f"column {region.col} in a module of {layout.rows} x {layout.cols} cells: rows and "
-                "columns count from 0."
+                f"There are no {region.rows} x {region.cols} cells at row {region.row}, column "
+                f"{region.col} in a module of {layout.rows} x {layout.cols} cells: rows and columns "
+                "count from 0."
             )
-        grid = HrGrid.covering(layout, self._registration.lr_px_per_unit, magnification)
-        first_rows, first_cols = grid.cell_slices(region.row, region.col)
-        last_rows, last_cols = grid.cell_slices(*last)
-        pad = int(np.ceil(_MARGIN_LR_PX * grid.magnification))
-        return grid.window(
-            slice(max(first_rows.start - pad, 0), last_rows.stop + pad),
-            slice(max(first_cols.start - pad, 0), last_cols.stop + pad),
-        )
+        whole = HrGrid.covering(layout, self._registration.lr_px_per_unit, magnification)
+        begin = [s.start for s in whole.cell_slices(region.row, region.col)]
+        end = [s.stop for s in whole.cell_slices(*last)]
+        pad = int(np.ceil(_MARGIN_LR_PX * whole.magnification))
+        low = [max(b - pad, 0) for b in begin]
+        grid = whole.window(slice(low[0], end[0] + pad), slice(low[1], end[1] + pad))
+        cell = tuple(slice(b - a, e - a) for a, b, e in zip(low, begin, end, strict=True))
+        return grid, (cell[0], cell[1])
+
+    def _cut(self, grid: HrGrid, region: Region) -> list[tuple[int, View]]:
+        """What every frame sees of the region."""
+        registration = self._registration
+        views = []
+        for i in np.flatnonzero(registration.used):
+            g, weights = observed(self._sequence, registration, int(i))
+            H = registration.homographies[i]
+            view = cut_view(registration.camera, H, self._rays, grid, g, weights)
+            if view is not None:
+                views.append((int(i), view))
+        if not views:
+            raise InspectionError(
+                f"No frame that is used shows the cell in row {region.row}, column {region.col}: "
+                "choose another cell."
+            )
+        return views
+
+    def _built(self, grid: HrGrid, sigma: float) -> NormalEquations:
+        camera = self._registration.camera
+        homographies = np.array([view.H for _, view in self._views])
+        model = ObservationModel.build(self._views[0][1].rays, camera, homographies, grid, sigma)
+        equations = NormalEquations.empty(model)
+        for i, view in self._views:
+            equations.add(view.H, view.g, view.weights, self._whole.motion_of(i), view.rays)
+        return equations
+
+
+def _solved(work: Generator[Solution, None, Solution]) -> Solution:
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            solution: Solution = end.value
+            return solution

@@ -137,7 +137,7 @@ def reconstruct(
             "crossing points."
         )
     guess = first_guess(equations)
-    problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
+    problem = Problem(equations, settings.prior_weight, brightness_of(guess, grid))
     solver = minimise(problem, guess, settings.max_iterations)
     while True:
         try:
@@ -246,8 +246,15 @@ def _estimate_psf(
         yield Progress(0.05 + 0.15 * share, "estimating the PSF")
 
 
-def _brightness(image: Image, grid: HrGrid) -> float:
-    """Median intensity of the module; the prior measures contrast against it."""
+def brightness_of(image: Image, grid: HrGrid) -> float:
+    """Median intensity of the module; the prior measures contrast against it.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        The whole module.
+    grid : HrGrid
+    """
     x0, y0 = np.round(grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
     x1, y1 = np.round(grid.to_pixels(np.asarray(grid.layout.size)) + 0.5).astype(int)
     return max(float(np.median(image[y0:y1:2, x0:x1:2])), 1e-6)

@@ -23,7 +23,7 @@ Image = NDArray[np.float32]
 _BAND = (0.5, 0.75)
 # Radius over which the answer is averaged, LR pixels.
 _WINDOW_LR_PX = 1.5
-_ITERATIONS = 15
+_ITERATIONS = 60
 _TOLERANCE = 0.02
 _TILE = 512
 _SEED = 7
