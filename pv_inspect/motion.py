@@ -19,45 +19,34 @@ __all__ = ["STILL", "MovingFrame", "length_and_angle", "motion_of", "samples_of"
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
-STILL = np.zeros(3)
-STILL.setflags(write=False)
+STILL = np.zeros(2)
 """Motion of a frame that did not move."""
+STILL.setflags(write=False)
 
 # A sample stands for so long a piece of the path, whose variance its taps still carry, and no
 # longer than this in LR px: further apart, the samples would show as ripple.
 _STEP_HR_PX, _STEP_LR_PX = 2.8, 1.0
-# LR rows that one thread works through; the bands between are another phase. Twice the half path
-# must stay below it.
+# LR rows that one thread works through; the bands between are another phase. Motions must stay
+# shorter.
 _BAND_ROWS = 16
 
 
-def motion_of(length_px: float, angle_deg: float, roll_rad: float = 0.0) -> Array:
-    """Motion (x, y) [LR px] and roll [rad] about the optical axis during the exposure: (3,)."""
+def motion_of(length_px: float, angle_deg: float) -> Array:
+    """Path (x, y) of the image on the sensor during the exposure, (2,), LR px."""
     angle = np.deg2rad(angle_deg)
-    return np.array([length_px * np.cos(angle), length_px * np.sin(angle), roll_rad])
+    return length_px * np.array([np.cos(angle), np.sin(angle)])
 
 
 def length_and_angle(motion: Array) -> tuple[float, float]:
-    """Length [LR px] and angle [deg, 0..180, x to y] of a motion."""
+    """Length [LR px] and angle [deg, 0..180, from x to y] of a motion; 0, 0 for a still frame."""
     x, y = float(motion[0]), float(motion[1])
     return float(np.hypot(x, y)), float(np.rad2deg(np.arctan2(y, x)) % 180.0)
 
 
-def samples_of(motion: Array, reach: float, magnification: float) -> int:
-    """Return how many samples along the path of a motion are needed.
-
-    Parameters
-    ----------
-    motion : (3,) float64
-        See `motion_of`.
-    reach : float
-        Distance from the optical axis to the furthest LR pixel, normalised.
-    magnification : float
-        HR px per LR px.
-    """
-    longest = float(np.hypot(motion[0], motion[1])) + abs(float(motion[2])) * reach
+def samples_of(motion: Array, magnification: float) -> int:
+    """Return how many samples along a motion [LR px] are needed at HR px per LR px."""
     step = min(_STEP_HR_PX / magnification, _STEP_LR_PX)
-    return max(int(np.ceil(longest / step)), 1)
+    return max(int(np.ceil(float(np.hypot(motion[0], motion[1])) / step)), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +99,8 @@ class MovingFrame:
             See `pv_inspect.observation.SensorRays`.
         moments : (4,) float64
             See `pv_inspect.observation.ObservationModel.moments`.
-        motion : (3,) float64
+        motion : (2,) float64
+            See `motion_of`.
         count : int
         shape : tuple of int
         wanted : (height, width) bool, optional
