@@ -12,7 +12,7 @@ __all__ = ["TAP_VARIANCE", "fill_taps", "locate"]
 TAP_VARIANCE = 0.25
 # Limits of the taps' second moment: outside, they would sharpen or leave a hole that the blur
 # does not fill.
-_LOW, _HIGH = -0.15, 0.95
+_LOW, _HIGH = -0.15, 2.0
 
 
 @numba.njit(cache=True, inline="always")
