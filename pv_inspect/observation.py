@@ -72,13 +72,6 @@ class SensorRays:
         xy = np.where(traced[..., None], u, np.nan)
         return cls(xy, per_px)
 
-    @property
-    def reach(self) -> float:
-        """Largest distance of a ray from the optical axis, normalised."""
-        rim = np.concatenate([self.xy[0], self.xy[-1], self.xy[:, 0], self.xy[:, -1]])
-        length = np.hypot(rim[:, 0], rim[:, 1])
-        return float(np.nanmax(length)) if np.isfinite(length).any() else 0.0
-
     def cut(self, window: tuple[slice, slice]) -> SensorRays:
         """Rays of a part of the sensor, given as [row, col] slices."""
         return SensorRays(
@@ -145,7 +138,7 @@ class ObservationModel:
 
     def samples(self, motion: Array) -> int:
         """Samples along the path of a motion; one means that the taps alone carry it."""
-        return samples_of(motion, self.rays.reach, self.grid.magnification)
+        return samples_of(motion, self.grid.magnification)
 
     def moving(
         self,
@@ -250,8 +243,11 @@ class NormalEquations:
         ``sum_i g_i' V_i^-1 g_i``.
     n_pixels : int
         LR pixels that have entered.
-    moving : list of (MovingFrame, weights)
-        Frames whose motion is longer than the taps of the stencil reach.
+    n_still : int
+        Frames in the stencil.
+    moving : list of (MovingFrame, (n,) float32, float)
+        Frames whose motion is longer than the taps of the stencil reach: their samples, weights,
+        and peak of their PSF relative to that of a still frame.
     """
 
     model: ObservationModel
@@ -287,7 +283,7 @@ class NormalEquations:
             Frame, mapped to the module's intensities.
         weights : (height, width) float32
             1 / variance per LR pixel; 0 where it must not count.
-        motion : (3,) float64
+        motion : (2,) float64
             See `pv_inspect.motion.motion_of`.
         rays : SensorRays, optional
             Rays of g if it is only a part of the frame; default: those of the model.

@@ -8,13 +8,14 @@ forbids, too narrow a one for more contrast between neighbours than the prior be
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid
+from pv_inspect.motion import STILL
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.solver import Problem, first_guess, minimise
 
@@ -46,12 +47,15 @@ class View:
     rays : SensorRays
     g, weights : (height, width) float32
         Intensities on the module's scale and 1 / variance.
+    motion : (2,) float64
+        See `pv_inspect.motion.motion_of`.
     """
 
     H: Array
     rays: SensorRays
     g: Image
     weights: Image
+    motion: Array = field(default_factory=lambda: STILL)
 
 
 def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> HrGrid:
@@ -86,7 +90,13 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
 
 
 def cut_view(
-    camera: Camera, H: Array, rays: SensorRays, window: HrGrid, g: Image, weights: Image
+    camera: Camera,
+    H: Array,
+    rays: SensorRays,
+    window: HrGrid,
+    g: Image,
+    weights: Image,
+    motion: Array = STILL,
 ) -> View | None:
     """Cut what a frame sees of a window; None if it sees nothing of it."""
     h, w = window.shape
@@ -106,7 +116,11 @@ def cut_view(
         return None
     part = (slice(low[1], high[1]), slice(low[0], high[0]))
     return View(
-        H, rays.cut(part), np.ascontiguousarray(g[part]), np.ascontiguousarray(weights[part])
+        H,
+        rays.cut(part),
+        np.ascontiguousarray(g[part]),
+        np.ascontiguousarray(weights[part]),
+        motion,
     )
 
 
@@ -176,7 +190,7 @@ def _held_out_residual(
     equations = NormalEquations.empty(models[0])
     for view, model, weights in zip(views, models, train, strict=True):
         equations.model = model
-        equations.add(view.H, view.g, weights)
+        equations.add(view.H, view.g, weights, view.motion)
     guess = first_guess(equations)
     solver = minimise(Problem(equations, prior_weight, float(np.median(guess))), guess, _ITERATIONS)
     for state in solver:
@@ -184,7 +198,7 @@ def _held_out_residual(
     blurred = models[0].blur.apply(image)
     total, n = 0.0, 0
     for view, model, weights in zip(views, models, test, strict=True):
-        sampled = model.frame(view.H).sample(blurred)
+        sampled = model.frame(view.H, view.motion).sample(blurred)
         use = (weights > 0) & (sampled != 0)
         z2 = weights[use] * (view.g[use] - sampled[use]) ** 2
         total += float(np.minimum(z2, _OUTLIER**2).sum())

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
+from pv_inspect.motion import length_and_angle
+from pv_inspect.motion_estimation import estimate_motion
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
@@ -69,6 +71,9 @@ class Reconstruction:
         Value of Eq. 7 after every round of the solver.
     converged : bool
         False: the iteration limit came first.
+    motion : tuple of (length, angle)
+        Motion blur of every frame of the sequence that was used, LR px and degrees in the sensor
+        plane; (0, 0) for frames that are still or not in use.
     """
 
     image: Image
@@ -78,6 +83,7 @@ class Reconstruction:
     psf_sigma_lr_px: float
     objective: tuple[float, ...]
     converged: bool
+    motion: tuple[tuple[float, float], ...] = ()
 
 
 def reconstruct(
@@ -90,8 +96,8 @@ def reconstruct(
     sequence : Sequence
     registration : Registration
     settings : Settings
-        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None) and
-        ``max_iterations`` count here.
+        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None),
+        ``motion_blur`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -116,9 +122,13 @@ def reconstruct(
     grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, settings.magnification)
     rays = SensorRays.of(registration.camera, sequence.shape)
     yield Progress(0.02, "tracing the rays of the sensor")
+    motion = np.zeros((len(sequence), 2))
+    if settings.motion_blur == "auto":
+        yield Progress(0.03, "estimating motion blur")
+        motion = estimate_motion(sequence, registration)
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays)
+        sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays, motion)
     psf = f"PSF sigma {sigma:.2f} LR px"
 
     model = ObservationModel.build(
@@ -127,7 +137,7 @@ def reconstruct(
     equations = NormalEquations.empty(model)
     for k, i in enumerate(used):
         g, weights = observed(sequence, registration, int(i))
-        equations.add(registration.homographies[i], g, weights)
+        equations.add(registration.homographies[i], g, weights, motion[i])
         yield Progress(
             0.2 + 0.2 * (k + 1) / used.size, f"adding frame {k + 1} of {used.size}, {psf}"
         )
@@ -156,6 +166,7 @@ def reconstruct(
         sigma,
         solution.objective,
         solution.converged,
+        tuple(length_and_angle(m) for m in motion),
     )
 
 
@@ -217,6 +228,7 @@ def _estimate_psf(
     settings: Settings,
     grid: HrGrid,
     rays: SensorRays,
+    motion: NDArray[np.float64],
 ) -> Generator[Progress, None, float]:
     """Estimate the optical sigma on the part of the module with the most detail."""
     used = np.flatnonzero(registration.used)
@@ -231,7 +243,7 @@ def _estimate_psf(
     views = []
     for i in used:
         g, weights = observed(sequence, registration, int(i))
-        view = cut_view(camera, homographies[i], rays, window, g, weights)
+        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i])
         if view is not None:
             views.append(view)
     if not views:
@@ -270,7 +282,7 @@ def _support(equations: NormalEquations, solution: Solution) -> Image:
     therefore scaled by the harmonic over the arithmetic mean of the sampling density over one LR
     pixel, 1 for even sampling and 0 if there are holes.
     """
-    density = equations.stencil.diagonal.astype(np.float32)
+    density = equations.density.astype(np.float32)
     side = max(round(equations.model.grid.magnification), 1)
     floor = 1e-4 * max(float(density.max()), 1e-30)
     mean = cv2.blur(density, (side, side))

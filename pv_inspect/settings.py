@@ -147,6 +147,13 @@ class Settings(BaseModel):
         ge=0.1,
         le=3,
     )
+    motion_blur: Literal["auto", "none"] = _tunable(
+        "auto",
+        Stage.RECONSTRUCT,
+        "1",
+        "auto: straight motion during the exposure is estimated for every frame and undone; "
+        "none: the frames are taken as still.",
+    )
     max_iterations: int = _tunable(
         60,
         Stage.RECONSTRUCT,

@@ -12,7 +12,7 @@ __all__ = ["TAP_VARIANCE", "fill_taps", "locate"]
 TAP_VARIANCE = 0.25
 # Limits of the taps' second moment: outside, they would sharpen or leave a hole that the blur
 # does not fill.
-_LOW, _HIGH = -0.15, 0.95
+_LOW, _HIGH = -0.15, 2.0
 
 
 @numba.njit(cache=True, inline="always")
@@ -21,8 +21,7 @@ def locate(M, ray, per_px, moments, motion, shape, place):  # type: ignore[no-un
 
     ``place`` becomes x, y, the path (x, y) between neighbouring samples along the motion, and the
     second moments (xx, yy, xy) that are left to the taps, all in HR px. ``moments`` are those of
-    `ObservationModel.moments`; ``motion`` is (x, y) in LR px, a roll in rad, and the number of
-    samples.
+    `ObservationModel.moments`; ``motion`` is (x, y) in LR px and the number of samples.
     """
     u, v = ray[0], ray[1]
     w = M[2, 0] * u + M[2, 1] * v + M[2, 2]
@@ -36,9 +35,9 @@ def locate(M, ray, per_px, moments, motion, shape, place):  # type: ignore[no-un
     j01 = a00 * per_px[0, 1] + a01 * per_px[1, 1]
     j10 = a10 * per_px[0, 0] + a11 * per_px[1, 0]
     j11 = a10 * per_px[0, 1] + a11 * per_px[1, 1]
-    n = motion[3]
-    sx = (j00 * motion[0] + j01 * motion[1] + motion[2] * (a01 * u - a00 * v)) / n
-    sy = (j10 * motion[0] + j11 * motion[1] + motion[2] * (a11 * u - a10 * v)) / n
+    n = motion[2]
+    sx = (j00 * motion[0] + j01 * motion[1]) / n
+    sy = (j10 * motion[0] + j11 * motion[1]) / n
     rim_x = moments[3] + 0.5 * (n - 1.0) * abs(sx)
     rim_y = moments[3] + 0.5 * (n - 1.0) * abs(sy)
     if not (rim_x <= x <= shape[1] - 1 - rim_x and rim_y <= y <= shape[0] - 1 - rim_y):
