@@ -12,6 +12,13 @@ from numpy.typing import NDArray
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.photometry import (
+    Photometry,
+    estimate_photometry,
+    huber_weights,
+    mean_illumination,
+    observed,
+)
 from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
@@ -26,6 +33,8 @@ Image = NDArray[np.float32]
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
+# Solver steps to the module image that the sensor is judged by.
+_FIRST_LOOK = 20
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -138,6 +147,14 @@ def reconstruct(
         )
     guess = first_guess(equations)
     problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
+    if settings.robust:
+        look = guess
+        for step, state in enumerate(minimise(problem, guess, _FIRST_LOOK)):
+            look = np.asarray(state.image)
+            share = 0.4 + 0.15 * step / _FIRST_LOOK
+            yield Progress(share, f"first look at the module, {psf}", look)
+        equations, guess = yield from _second_look(sequence, registration, equations, look)
+        problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
     solver = minimise(problem, guess, settings.max_iterations)
     while True:
         try:
@@ -147,7 +164,7 @@ def reconstruct(
             break
         share = state.iterations / settings.max_iterations
         message = f"solving, step {state.iterations} of at most {settings.max_iterations}, {psf}"
-        yield Progress(0.4 + 0.59 * share, message, np.asarray(state.image, np.float32))
+        yield Progress(0.65 + 0.34 * share, message, np.asarray(state.image, np.float32))
     return Reconstruction(
         np.asarray(solution.image, np.float32),
         _support(equations, solution),
@@ -191,24 +208,32 @@ def bicubic(
     return out
 
 
-def observed(sequence: Sequence, registration: Registration, frame: int) -> tuple[Image, Image]:
-    """Map a frame to the module's intensities.
+def _second_look(
+    sequence: Sequence, registration: Registration, first: NormalEquations, image: Image
+) -> Generator[Progress, None, tuple[NormalEquations, Image]]:
+    """Add all frames again, less what the sensor did to them, outliers with lower weights.
 
-    Returns
-    -------
-    g : (height, width) float32
-        ``(image - offset) / gain``.
-    weights : (height, width) float32
-        1 / variance of g; 0 for pixels that are not valid.
+    Returns the equations and the image as it is without the vignetting.
     """
-    ready = sequence.frame(frame)
-    gain = float(registration.gain[frame])
-    g = (ready.image - np.float32(registration.offset[frame])) / np.float32(gain)
-    # The variance follows the light, not the pixel's own noise.
-    smooth = cv2.GaussianBlur(ready.image, (0, 0), 1.0)
-    weights = (gain / sequence.noise.sigma(smooth)) ** 2
-    weights[~ready.valid] = 0.0
-    return g.astype(np.float32), weights.astype(np.float32)
+    model, used = first.model, np.flatnonzero(registration.used)
+    steps = estimate_photometry(sequence, registration, model, image)
+    while True:
+        try:
+            share = next(steps)
+        except StopIteration as end:
+            photometry: Photometry = end.value
+            break
+        yield Progress(0.55 + 0.04 * share, "telling the sensor from the scene")
+    image = image / mean_illumination(photometry, registration, model)
+    blurred = model.blur.apply(image)
+    equations = NormalEquations.empty(model)
+    for k, i in enumerate(used):
+        g, weights = observed(sequence, registration, int(i), photometry)
+        predicted = model.frame(registration.homographies[i]).sample(blurred)
+        equations.add(registration.homographies[i], g, huber_weights(g, predicted, weights))
+        share = (k + 1) / used.size
+        yield Progress(0.59 + 0.06 * share, f"adding frame {k + 1} of {used.size} again")
+    return equations, image
 
 
 def _estimate_psf(

@@ -147,6 +147,13 @@ class Settings(BaseModel):
         ge=0.1,
         le=3,
     )
+    robust: bool = _tunable(
+        True,
+        Stage.RECONSTRUCT,
+        "1",
+        "Look at the frames twice: against a first module image the sensor's fixed pattern and "
+        "vignetting are found and taken out, and pixels that contradict it count for less.",
+    )
     max_iterations: int = _tunable(
         60,
         Stage.RECONSTRUCT,
