@@ -20,7 +20,13 @@ from pv_inspect.residuals import ResidualSums, halves_along
 from pv_inspect.sequence import Sequence
 from pv_inspect.vignetting import Vignetting, estimate_vignetting
 
-__all__ = ["Photometry", "estimate_photometry", "huber_weights", "observed"]
+__all__ = [
+    "Photometry",
+    "estimate_photometry",
+    "huber_weights",
+    "mean_illumination",
+    "observed",
+]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -94,10 +100,10 @@ def observed(
     """
     ready = sequence.frame(frame)
     g = ready.image - np.float32(registration.offset[frame])
-    scale = np.float32(registration.gain[frame])
+    scale = np.full(g.shape, registration.gain[frame], np.float32)
     if photometry is not None:
         g -= photometry.offsets[frame]
-        scale = scale * photometry.response
+        scale *= photometry.response
     # The variance follows the light, not the pixel's own noise.
     smooth = cv2.GaussianBlur(ready.image, (0, 0), 1.0)
     weights = np.square(scale / sequence.noise.sigma(smooth))
@@ -168,6 +174,8 @@ def estimate_photometry(
     principal = np.linalg.svd(places, full_matrices=False)[2][0]
     across, apart_across = halves_along(places, np.array([1.0, 0.0]))
     along, apart_along = halves_along(places, principal)
+    if apart_along < _LEAST_DISTANCE:
+        return ideal
     sums = ResidualSums.empty(used.size, sequence.shape)
     blurred = model.blur.apply(image)
     for k, i in enumerate(used):
@@ -187,8 +195,7 @@ def estimate_photometry(
         of_frames = columns_of_frames(sums)
         sums = sums.without_columns(of_frames, np.zeros_like(gain_of_columns))
         columns += of_frames
-    if apart_along > _LEAST_DISTANCE:
-        gains += pixel_gains(sums)
+    gains += pixel_gains(sums)
     yield (used.size + 1) / (used.size + 2)
     vignetting = estimate_vignetting(
         sums, registration.camera, registration.homographies[used], sequence.shape
@@ -207,9 +214,8 @@ def mean_illumination(
     height, width = model.grid.shape
     if not photometry.vignetting.coefficients:
         return np.ones((height, width), np.float32)
-    y, x = np.linspace(0, height - 1, height // _COARSE + 2), np.linspace(
-        0, width - 1, width // _COARSE + 2
-    )
+    y = np.linspace(0, height - 1, height // _COARSE + 2)
+    x = np.linspace(0, width - 1, width // _COARSE + 2)
     points = model.grid.to_module(np.stack(np.meshgrid(x, y), axis=-1))
     total = np.zeros(points.shape[:2])
     used = np.flatnonzero(registration.used)

@@ -34,7 +34,7 @@ _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Solver steps to the module image that the sensor is judged by.
-_FIRST_LOOK = 20
+_FIRST_LOOK = 10
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -99,8 +99,8 @@ def reconstruct(
     sequence : Sequence
     registration : Registration
     settings : Settings
-        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None) and
-        ``max_iterations`` count here.
+        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None),
+        ``second_look`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -147,7 +147,7 @@ def reconstruct(
         )
     guess = first_guess(equations)
     problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
-    if settings.robust:
+    if settings.second_look:
         look = guess
         for step, state in enumerate(minimise(problem, guess, _FIRST_LOOK)):
             look = np.asarray(state.image)

@@ -82,6 +82,13 @@ class Settings(BaseModel):
         "Image taken without current, subtracted from every frame "
         "instead of the estimated black level.",
     )
+    flat_frame: Path | None = _tunable(
+        None,
+        Stage.LOAD,
+        "file",
+        "Image of an evenly bright surface through the same lens at the same aperture: every frame "
+        "is divided by it.",
+    )
     kappa: Finite | None = _tunable(
         None,
         Stage.CALIBRATE,
@@ -147,7 +154,7 @@ class Settings(BaseModel):
         ge=0.1,
         le=3,
     )
-    robust: bool = _tunable(
+    second_look: bool = _tunable(
         True,
         Stage.RECONSTRUCT,
         "1",
@@ -214,7 +221,7 @@ class Settings(BaseModel):
         lines = []
         for name, value in self.model_dump(mode="json", exclude_none=True).items():
             # JSON strings and lists of them are TOML as well.
-            text = json.dumps(value) if isinstance(value, str | list) else repr(value)
+            text = json.dumps(value) if isinstance(value, str | list | bool) else repr(value)
             lines.append(f"{name} = {text}")
         return "\n".join(lines) + "\n"
 
