@@ -158,6 +158,10 @@ def run(
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
+    flat_frame: Annotated[Path | None, _option("flat_frame")] = None,
+    second_look: Annotated[
+        bool | None, _option("second_look", "--second-look/--no-second-look")
+    ] = None,
     settings_file: Annotated[
         Path | None,
         typer.Option("--settings", help="TOML file of settings; the options above win over it."),
@@ -195,6 +199,8 @@ def run(
             "skip_frames": skip_frame,
             "psf_sigma_lr_px": psf_sigma,
             "dark_frame": dark_frame,
+            "flat_frame": flat_frame,
+            "second_look": second_look,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,
         }
@@ -203,7 +209,7 @@ def run(
         check_writable(out)
         _use_threads(threads)
         begun = perf_counter()
-        opened = Sequence.open(sequence, settings.dark_frame)
+        opened = Sequence.open(sequence, settings.dark_frame, settings.flat_frame)
         opened.indices((*settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)

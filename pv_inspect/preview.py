@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
+from pv_inspect.motion import motion_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.photometry import observed
 from pv_inspect.psf_estimation import View, cut_view
-from pv_inspect.reconstruction import Reconstruction, brightness_of, observed
+from pv_inspect.reconstruction import Reconstruction, brightness_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -121,8 +123,7 @@ class Preview:
         self._brightness = brightness_of(whole.image, whole.grid)
         self._rays = SensorRays.of(registration.camera, sequence.shape)
         self._place: tuple[Region, float] | None = None
-        self._grid: HrGrid | None = None
-        self._views: list[tuple[int, View]] = []
+        self._views: list[View] = []
         self._sigma = float("nan")
         self._equations: NormalEquations | None = None
         self._image: Image | None = None
@@ -161,6 +162,9 @@ class Preview:
         if place != self._place:
             self._views = self._cut(grid, region)
             self._equations = None
+            # An image of another geometry may still be the start; one of another place may not.
+            if self._place is not None:
+                self._image = None
             self._place = place
         if self._equations is None or sigma != self._sigma:
             self._equations = self._built(grid, sigma)
@@ -170,6 +174,8 @@ class Preview:
         weight = self._whole.prior_weight if given is None else given
         start = self._image
         if start is None or start.shape != grid.shape:
+            start = self._look(grid)
+        if start is None:
             start = first_guess(equations)
         problem = Problem(equations, weight, self._brightness)
         solution = _solved(minimise(problem, start, settings.max_iterations))
@@ -180,13 +186,12 @@ class Preview:
         """Grid of a region with its margin, and the region within it."""
         layout = self._registration.layout
         last = (region.row + region.rows - 1, region.col + region.cols - 1)
-        if not (
-            0 <= region.row <= last[0] < layout.rows and 0 <= region.col <= last[1] < layout.cols
-        ):
+        inside = min(region.row, region.col) >= 0 and min(region.rows, region.cols) >= 1
+        if not inside or last[0] >= layout.rows or last[1] >= layout.cols:
             raise InspectionError(
                 f"There are no {region.rows} x {region.cols} cells at row {region.row}, column "
-                f"{region.col} in a module of {layout.rows} x {layout.cols} cells: rows and columns "
-                "count from 0."
+                f"{region.col} in a module of {layout.rows} x {layout.cols} cells: rows and "
+                "columns count from 0."
             )
         whole = HrGrid.covering(layout, self._registration.lr_px_per_unit, magnification)
         begin = [s.start for s in whole.cell_slices(region.row, region.col)]
@@ -197,16 +202,17 @@ class Preview:
         cell = tuple(slice(b - a, e - a) for a, b, e in zip(low, begin, end, strict=True))
         return grid, (cell[0], cell[1])
 
-    def _cut(self, grid: HrGrid, region: Region) -> list[tuple[int, View]]:
+    def _cut(self, grid: HrGrid, region: Region) -> list[View]:
         """What every frame sees of the region."""
         registration = self._registration
         views = []
         for i in np.flatnonzero(registration.used):
-            g, weights = observed(self._sequence, registration, int(i))
+            g, weights = observed(self._sequence, registration, int(i), self._whole.photometry)
             H = registration.homographies[i]
-            view = cut_view(registration.camera, H, self._rays, grid, g, weights)
+            motion = motion_of(*self._whole.motion[i])
+            view = cut_view(registration.camera, H, self._rays, grid, g, weights, motion)
             if view is not None:
-                views.append((int(i), view))
+                views.append(view)
         if not views:
             raise InspectionError(
                 f"No frame that is used shows the cell in row {region.row}, column {region.col}: "
@@ -216,12 +222,29 @@ class Preview:
 
     def _built(self, grid: HrGrid, sigma: float) -> NormalEquations:
         camera = self._registration.camera
-        homographies = np.array([view.H for _, view in self._views])
-        model = ObservationModel.build(self._views[0][1].rays, camera, homographies, grid, sigma)
+        homographies = np.array([view.H for view in self._views])
+        model = ObservationModel.build(self._views[0].rays, camera, homographies, grid, sigma)
         equations = NormalEquations.empty(model)
-        for i, view in self._views:
-            equations.add(view.H, view.g, view.weights, self._whole.motion_of(i), view.rays)
+        look = self._look(grid)
+        blurred = None if look is None else model.blur.apply(look)
+        for view in self._views:
+            weights = view.weights
+            if blurred is not None:
+                frame = replace(model, rays=view.rays).frame(view.H, view.motion)
+                predicted = np.asarray(frame.sample(blurred), np.float32)
+                weights = huber_weights(view.g, predicted, weights)
+            equations.add(view.H, view.g, weights, view.motion, view.rays)
         return equations
+
+    def _look(self, grid: HrGrid) -> Image | None:
+        """What the image of the whole module shows of a grid; None at another magnification."""
+        whole = self._whole.grid
+        if whole.pixels_per_unit != grid.pixels_per_unit:
+            return None
+        left = round(whole.origin_px[0] - grid.origin_px[0])
+        top = round(whole.origin_px[1] - grid.origin_px[1])
+        height, width = grid.shape
+        return self._whole.image[top : top + height, left : left + width].copy()
 
 
 def _solved(work: Generator[Solution, None, Solution]) -> Solution:

@@ -9,18 +9,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.accumulation import Accumulation
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import length_and_angle
 from pv_inspect.motion_estimation import estimate_motion
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.observation import SensorRays
+from pv_inspect.photometry import Photometry, estimate_photometry, mean_illumination, observed
 from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.solver import Problem, Solution, first_guess, minimise
+from pv_inspect.support import support_of
 
-__all__ = ["Progress", "Reconstruction", "bicubic", "observed", "reconstruct"]
+__all__ = ["Progress", "Reconstruction", "bicubic", "brightness_of", "reconstruct", "solve"]
 
 Image = NDArray[np.float32]
 
@@ -28,6 +31,8 @@ Image = NDArray[np.float32]
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
+# Solver steps to the module image that the sensor is judged by.
+_FIRST_LOOK = 10
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -60,7 +65,8 @@ class Reconstruction:
     image : (height, width) float32
         Intensities, full scale = 1.
     support : (height, width) float32
-        0..1: how much of a pixel is said by the frames; the rest is the prior's.
+        0..1: share of a detail just finer than the LR pixels that comes from the frames; see
+        `pv_inspect.support`.
     grid : HrGrid
         Where the pixels lie on the module.
     prior_weight : float
@@ -71,9 +77,18 @@ class Reconstruction:
         Value of Eq. 7 after every round of the solver.
     converged : bool
         False: the iteration limit came first.
+    consistency : (height, width) float32
+        Residual of the frames around a pixel in units of the noise: about 1 where they agree with
+        the image, more where they contradict it, 0 where no frame looks.
+    residual_rms : tuple of float
+        Robust residual per frame in units of the noise, NaN for frames not in use.
     motion : tuple of (length, angle)
-        Motion blur of every frame of the sequence that was used, LR px and degrees in the sensor
-        plane; (0, 0) for frames that are still or not in use.
+        Motion blur per frame, LR px and degrees in the sensor plane; (0, 0) for frames that are
+        still or not in use.
+    iterations : int
+        Steps of the solver.
+    photometry : Photometry, optional
+        The sensor's part in the intensities, if it was looked for.
     """
 
     image: Image
@@ -83,7 +98,11 @@ class Reconstruction:
     psf_sigma_lr_px: float
     objective: tuple[float, ...]
     converged: bool
-    motion: tuple[tuple[float, float], ...] = ()
+    consistency: Image
+    residual_rms: tuple[float, ...]
+    motion: tuple[tuple[float, float], ...]
+    iterations: int
+    photometry: Photometry | None = None
 
 
 def reconstruct(
@@ -97,7 +116,7 @@ def reconstruct(
     registration : Registration
     settings : Settings
         ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None),
-        ``motion_blur`` and ``max_iterations`` count here.
+        ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -124,31 +143,49 @@ def reconstruct(
     yield Progress(0.02, "tracing the rays of the sensor")
     motion = np.zeros((len(sequence), 2))
     if settings.motion_blur == "auto":
-        yield Progress(0.03, "estimating motion blur")
+        yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
         sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays, motion)
-    psf = f"PSF sigma {sigma:.2f} LR px"
-
-    model = ObservationModel.build(
-        rays, registration.camera, registration.homographies[used], grid, sigma
-    )
-    equations = NormalEquations.empty(model)
-    for k, i in enumerate(used):
-        g, weights = observed(sequence, registration, int(i))
-        equations.add(registration.homographies[i], g, weights, motion[i])
-        yield Progress(
-            0.2 + 0.2 * (k + 1) / used.size, f"adding frame {k + 1} of {used.size}, {psf}"
-        )
-    if equations.n_pixels == 0:
+    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion)
+    yield from _all_added(data, used, 0.2, 0.35, "adding")
+    if data.equations.n_pixels == 0:
         raise InspectionError(
             "None of the registered frames shows any part of the module: check rows, cols and the "
             "crossing points."
         )
-    guess = first_guess(equations)
-    problem = Problem(equations, settings.prior_weight, brightness_of(guess, grid))
-    solver = minimise(problem, guess, settings.max_iterations)
+    start = first_guess(data.equations)
+    if settings.second_look:
+        data, start = yield from _second_look(data, start, used, settings.prior_weight)
+    return (yield from solve(data, settings, start))
+
+
+def solve(
+    data: Accumulation, settings: Settings, start: Image
+) -> Generator[Progress, None, Reconstruction]:
+    """Reconstruct the module from the frames that have entered so far.
+
+    Parameters
+    ----------
+    data : Accumulation
+    settings : Settings
+    start : (height, width) float32
+        Image to start from: of `first_guess`, or what the frames before had given.
+
+    Yields
+    ------
+    Progress
+
+    Returns
+    -------
+    Reconstruction
+    """
+    equations, grid = data.equations, data.equations.model.grid
+    sigma = equations.model.psf_sigma_lr_px
+    weight = settings.prior_weight
+    problem = Problem(equations, weight, brightness_of(start, grid))
+    solver = minimise(problem, start, settings.max_iterations)
     while True:
         try:
             state = next(solver)
@@ -156,17 +193,38 @@ def reconstruct(
             solution: Solution = end.value
             break
         share = state.iterations / settings.max_iterations
-        message = f"solving, step {state.iterations} of at most {settings.max_iterations}, {psf}"
-        yield Progress(0.4 + 0.59 * share, message, np.asarray(state.image, np.float32))
+        yield Progress(
+            0.6 + 0.3 * share,
+            f"solving, step {state.iterations}, PSF sigma {sigma:.2f} LR px",
+            np.asarray(state.image, np.float32),
+        )
+    image = np.asarray(solution.image, np.float32)
+    yield Progress(0.91, "asking what the frames have earned", image)
+    support = support_of(equations, solution.prior)
+    comparison = data.compare(image)
+    n = max(int(data.registration.used.sum()), 1)
+    k = 0
+    while True:
+        try:
+            next(comparison)
+        except StopIteration as end:
+            consistency, residual_rms = end.value
+            break
+        k += 1
+        yield Progress(0.95 + 0.05 * k / n, "comparing the frames with the result", image)
     return Reconstruction(
-        np.asarray(solution.image, np.float32),
-        _support(equations, solution),
+        image,
+        support,
         grid,
-        settings.prior_weight,
+        weight,
         sigma,
         solution.objective,
         solution.converged,
-        tuple(length_and_angle(m) for m in motion),
+        consistency,
+        tuple(float(r) for r in residual_rms),
+        tuple(length_and_angle(m) for m in data.motion),
+        solution.iterations,
+        data.photometry,
     )
 
 
@@ -202,24 +260,40 @@ def bicubic(
     return out
 
 
-def observed(sequence: Sequence, registration: Registration, frame: int) -> tuple[Image, Image]:
-    """Map a frame to the module's intensities.
+def _all_added(
+    data: Accumulation, frames: NDArray[np.intp], begin: float, end: float, doing: str
+) -> Generator[Progress, None, None]:
+    for k, i in enumerate(frames):
+        data.add(int(i))
+        share = begin + (end - begin) * (k + 1) / frames.size
+        yield Progress(share, f"{doing} frame {k + 1} of {frames.size}")
 
-    Returns
-    -------
-    g : (height, width) float32
-        ``(image - offset) / gain``.
-    weights : (height, width) float32
-        1 / variance of g; 0 for pixels that are not valid.
+
+def _second_look(
+    data: Accumulation, start: Image, frames: NDArray[np.intp], prior_weight: float
+) -> Generator[Progress, None, tuple[Accumulation, Image]]:
+    """Add all frames again, less what the sensor did to them, outliers with lower weights.
+
+    Returns the data and the image as it is without the vignetting.
     """
-    ready = sequence.frame(frame)
-    gain = float(registration.gain[frame])
-    g = (ready.image - np.float32(registration.offset[frame])) / np.float32(gain)
-    # The variance follows the light, not the pixel's own noise.
-    smooth = cv2.GaussianBlur(ready.image, (0, 0), 1.0)
-    weights = (gain / sequence.noise.sigma(smooth)) ** 2
-    weights[~ready.valid] = 0.0
-    return g.astype(np.float32), weights.astype(np.float32)
+    model, registration = data.equations.model, data.registration
+    problem = Problem(data.equations, prior_weight, brightness_of(start, model.grid))
+    look = start
+    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
+        look = np.asarray(state.image, np.float32)
+        yield Progress(0.35 + 0.1 * step / _FIRST_LOOK, "a first look at the module", look)
+    steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
+    while True:
+        try:
+            share = next(steps)
+        except StopIteration as end:
+            photometry: Photometry = end.value
+            break
+        yield Progress(0.45 + 0.04 * share, "telling the sensor from the scene")
+    look = look / mean_illumination(photometry, registration, model)
+    again = data.again(look, photometry)
+    yield from _all_added(again, frames, 0.49, 0.6, "adding once more")
+    return again, look
 
 
 def _estimate_psf(
@@ -270,26 +344,3 @@ def brightness_of(image: Image, grid: HrGrid) -> float:
     x0, y0 = np.round(grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
     x1, y1 = np.round(grid.to_pixels(np.asarray(grid.layout.size)) + 0.5).astype(int)
     return max(float(np.median(image[y0:y1:2, x0:x1:2])), 1e-6)
-
-
-def _support(equations: NormalEquations, solution: Solution) -> Image:
-    """Share of the data in what holds an HR pixel in its place.
-
-    Notes
-    -----
-    ``d / (d + r)`` with the diagonals d of the data and r of the prior. Samples that lie on a few
-    HR pixels only, as those of frames that did not move, leave the others to the prior: d is
-    therefore scaled by the harmonic over the arithmetic mean of the sampling density over one LR
-    pixel, 1 for even sampling and 0 if there are holes.
-    """
-    density = equations.density.astype(np.float32)
-    side = max(round(equations.model.grid.magnification), 1)
-    floor = 1e-4 * max(float(density.max()), 1e-30)
-    mean = cv2.blur(density, (side, side))
-    harmonic = 1.0 / cv2.blur(1.0 / (density + floor), (side, side))
-    evenness = np.clip(harmonic / np.maximum(mean, floor), 0.0, 1.0)
-    evenness[mean <= floor] = 0.0
-    data = solution.data_diagonal * evenness
-    total = data + solution.prior_diagonal
-    support = np.divide(data, total, out=np.zeros_like(data), where=total > 0)
-    return np.clip(support, 0.0, 1.0).astype(np.float32)

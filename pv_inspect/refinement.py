@@ -7,15 +7,12 @@ work): reconstruction and registration are then steps down the same objective.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.observation import ObservationModel
-from pv_inspect.registration import Registration, anchored
 
-__all__ = ["refined", "refined_pose"]
+__all__ = ["refined_pose"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -84,9 +81,7 @@ def refined_pose(
         z = np.abs(residual) * np.sqrt(weights[use])
         w = weights[use] * np.minimum(1.0, _HUBER / np.maximum(z, 1e-9))
         normal = design.T @ (design * w[:, None])
-        step = np.linalg.solve(
-            normal + 1e-9 * np.diag(np.diag(normal)), design.T @ (w * residual)
-        )
+        step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), design.T @ (w * residual))
         increment = np.append(step[:8], 0.0).reshape(3, 3)
         # A pixel shows p' = (1 + d) p of the HR plane, p what H says.
         moved = np.linalg.inv(to_unit) @ (np.eye(3) + increment) @ to_unit @ model.to_hr(H)

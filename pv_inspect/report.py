@@ -172,6 +172,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "cols": f"{layout.cols}, from module.json",
         "cell_aspect": f"{layout.cell_aspect:g}",
         "dark_frame": "none",
+        "flat_frame": "none",
         "kappa": f"{camera.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",
         "psf_sigma_lr_px": f"{reconstruction.psf_sigma_lr_px:.2f}, estimated",

@@ -82,6 +82,13 @@ class Settings(BaseModel):
         "Image taken without current, subtracted from every frame "
         "instead of the estimated black level.",
     )
+    flat_frame: Path | None = _tunable(
+        None,
+        Stage.LOAD,
+        "file",
+        "Image of an evenly bright surface through the same lens at the same aperture: every frame "
+        "is divided by it.",
+    )
     kappa: Finite | None = _tunable(
         None,
         Stage.CALIBRATE,
@@ -154,6 +161,13 @@ class Settings(BaseModel):
         "auto: straight motion during the exposure is estimated for every frame and undone; "
         "none: the frames are taken as still.",
     )
+    second_look: bool = _tunable(
+        True,
+        Stage.RECONSTRUCT,
+        "1",
+        "Look at the frames twice: against a first module image the sensor's fixed pattern and "
+        "vignetting are found and taken out, and pixels that contradict it count for less.",
+    )
     max_iterations: int = _tunable(
         60,
         Stage.RECONSTRUCT,
@@ -214,7 +228,7 @@ class Settings(BaseModel):
         lines = []
         for name, value in self.model_dump(mode="json", exclude_none=True).items():
             # JSON strings and lists of them are TOML as well.
-            text = json.dumps(value) if isinstance(value, str | list) else repr(value)
+            text = json.dumps(value) if isinstance(value, str | list | bool) else repr(value)
             lines.append(f"{name} = {text}")
         return "\n".join(lines) + "\n"
 

@@ -75,8 +75,8 @@ class Solution:
     Parameters
     ----------
     image : (height, width) float32
-    data_diagonal, prior_diagonal : (height, width) float32
-        Diagonals of the two terms' quadratics.
+    prior : Stencil
+        The last quadratic majoriser of the prior, on the scale of the equations.
     objective : tuple of float
         E after every majoriser.
     iterations : int
@@ -85,8 +85,7 @@ class Solution:
     """
 
     image: Image
-    data_diagonal: Image
-    prior_diagonal: Image
+    prior: Stencil
     objective: tuple[float, ...]
     iterations: int
     converged: bool
@@ -162,7 +161,7 @@ def minimise(
             _turn(new / rz, p, r, scale)
             rz = new
             iterations += 1
-            yield Solution(f, diagonal, laplacian.diagonal, tuple(objective), iterations, False)
+            yield Solution(f, laplacian, tuple(objective), iterations, False)
             if rz < 1e-4 * first:
                 break
         rounds += 1
@@ -171,7 +170,7 @@ def minimise(
         np.subtract(f, before, out=before)
         change = np.sqrt(dot(before, before) / f.size) / problem.brightness
         converged = rounds > _ADAPTIVE_ROUNDS and change < tolerance
-    return Solution(f, diagonal, laplacian.diagonal, tuple(objective), iterations, converged)
+    return Solution(f, laplacian, tuple(objective), iterations, converged)
 
 
 def _step(
