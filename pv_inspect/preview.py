@@ -7,7 +7,7 @@ and the solver starts from the image before.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
@@ -19,7 +19,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import motion_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.photometry import observed
+from pv_inspect.photometry import huber_weights, observed
 from pv_inspect.psf_estimation import View, cut_view
 from pv_inspect.reconstruction import Reconstruction, brightness_of
 from pv_inspect.registration import Registration
@@ -162,8 +162,7 @@ class Preview:
         if place != self._place:
             self._views = self._cut(grid, region)
             self._equations = None
-            # An image of another geometry may still be the start; one of another place may not.
-            if self._place is not None:
+            if self._place not in (None, place):
                 self._image = None
             self._place = place
         if self._equations is None or sigma != self._sigma:
