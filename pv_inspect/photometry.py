@@ -37,7 +37,7 @@ _LEAST_FRAMES = 6
 # wrong of the scene reaches about a pixel.
 _LEAST_DISTANCE = 1.5
 # Standard deviations of the residual from which on a pixel counts for less.
-_HUBER = 2.5
+_HUBER = 4.0
 _MAD_TO_SIGMA = 1.4826
 # HR pixels between the points that the mean vignetting is computed at.
 _COARSE = 16
