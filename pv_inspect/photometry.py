@@ -37,7 +37,10 @@ _LEAST_FRAMES = 6
 # wrong of the scene reaches about a pixel.
 _LEAST_DISTANCE = 1.5
 # Standard deviations of the residual from which on a pixel counts for less.
-_HUBER = 2.5
+_HUBER = 4.0
+# Noise levels that a whole frame may be off before it counts for less: with a blur that the model
+# doesn't know it is 1.5, with another module in it 5 and more.
+_WHOLE_FRAME = 2.0
 _MAD_TO_SIGMA = 1.4826
 # HR pixels between the points that the mean vignetting is computed at.
 _COARSE = 16
@@ -126,17 +129,20 @@ def huber_weights(g: Image, predicted: Image, weights: Image) -> Image:
 
     Notes
     -----
-    ``w min(1, k / |z|)``, z = (g - predicted) sqrt(w) / s with s >= 1 the robust standard deviation
-    over the frame: a frame that the model fits badly as a whole is not full of outliers. Pixels
-    without a prediction (exactly 0) keep their weight.
+    ``w min(1, k / |z|) min(1, 2 / s)^2``, z = (g - predicted) sqrt(w) / max(s, 1) with s the robust
+    standard deviation over the frame in units of its noise: a frame that the model fits badly as a
+    whole is not full of outliers, but it is a noisier one. Pixels without a prediction (exactly 0)
+    keep their weight.
     """
     z = np.abs(g - predicted) * np.sqrt(weights)
     seen = (weights > 0) & (predicted != 0)
     if not seen.any():
         return weights
-    limit = _HUBER * max(_MAD_TO_SIGMA * float(np.median(z[seen])), 1.0)
-    lowered = np.where(seen & (z > limit), weights * (limit / np.maximum(z, limit)), weights)
-    return lowered.astype(np.float32)
+    spread = _MAD_TO_SIGMA * float(np.median(z[seen]))
+    limit = _HUBER * max(spread, 1.0)
+    share = np.where(seen, limit / np.maximum(z, limit), 1.0)
+    share *= min(1.0, _WHOLE_FRAME / max(spread, 1.0)) ** 2
+    return (weights * share).astype(np.float32)
 
 
 def estimate_photometry(
@@ -187,6 +193,7 @@ def estimate_photometry(
         seen = np.asarray(
             model.frame(registration.homographies[i], motion[i]).sample(blurred), np.float32
         )
+        weights = huber_weights(g, seen, weights)
         weights = np.where(seen != 0, weights / gain**2, np.float32(0))
         predicted = gain * seen
         sums.add(k, bool(along[k]), predicted, gain * (g - seen), weights)

@@ -320,7 +320,8 @@ def flat_field(
     saturated = float((flat >= full_scale).mean())
     if saturated > _MOST_SATURATED:
         raise ValueError(f"has {100 * saturated:.0f} % saturated pixels")
-    bright = float(np.median(light[light >= 0.5 * np.percentile(light, 99.0)]))
+    high = float(np.percentile(light, 99.0))
+    bright = float(np.median(light[light >= min(0.5 * high, high)]))
     if not bright > _LEAST_LIGHT * full_scale:
         raise ValueError(
             f"is too dark ({bright:.0f} DN above black, at least "

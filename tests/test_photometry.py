@@ -229,17 +229,21 @@ def test_huber_weights_fall_with_the_residual() -> None:
     g[3, 4], g[5, 6] = 0.6, 0.52
     lowered = huber_weights(g, predicted, weights)
     # The robust standard deviation is 1 but for chance.
-    assert lowered[3, 4] == pytest.approx(1e4 * 2.5 / 10.0, rel=0.05)
+    assert lowered[3, 4] == pytest.approx(1e4 * 4.0 / 10.0, rel=0.05)
     assert lowered[5, 6] == 1e4
     assert lowered.max() == 1e4
 
 
-def test_huber_keeps_a_frame_that_fits_badly_as_a_whole() -> None:
+@pytest.mark.parametrize(("misfit", "share"), [(1.5, 1.0), (4.0, 1 / 4), (20.0, 1 / 100)])
+def test_a_frame_that_fits_badly_as_a_whole_counts_as_a_noisy_one(
+    misfit: float, share: float
+) -> None:
     rng = np.random.default_rng(26)
-    g = rng.normal(0.5, 0.04, SHAPE).astype(np.float32)
+    g = rng.normal(0.5, 0.01 * misfit, SHAPE).astype(np.float32)
     weights = np.full(SHAPE, 1e4, np.float32)
     lowered = huber_weights(g, np.full(SHAPE, 0.5, np.float32), weights)
-    assert lowered.mean() > 0.98e4
+    assert np.median(lowered) == pytest.approx(1e4 * share, rel=0.05)
+    assert lowered.min() > 0.5 * 1e4 * share
 
 
 def test_huber_leaves_alone_what_has_no_prediction() -> None:

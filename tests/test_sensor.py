@@ -223,7 +223,7 @@ def test_a_flat_field_is_the_response_over_its_bright_median() -> None:
     flat[7, 9] = 64
     found = flat_field(flat, black, FULL_SCALE)
     assert found[7, 9] == 0.0
-    assert np.median(found) == pytest.approx(1.0, abs=1e-3)
+    assert np.median(found) == pytest.approx(1.0, abs=5e-3)
     seen = found > 0
     np.testing.assert_allclose(found[seen] / found.max(), response[seen], atol=1e-3)
 
