@@ -156,6 +156,7 @@ def run(
     keep_frame: Annotated[list[str] | None, _option("keep_frames", "--keep-frame")] = None,
     skip_frame: Annotated[list[str] | None, _option("skip_frames", "--skip-frame")] = None,
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
+    motion_blur: Annotated[str | None, _option("motion_blur")] = None,
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
     settings_file: Annotated[
@@ -194,6 +195,7 @@ def run(
             "keep_frames": keep_frame,
             "skip_frames": skip_frame,
             "psf_sigma_lr_px": psf_sigma,
+            "motion_blur": motion_blur,
             "dark_frame": dark_frame,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,

@@ -189,7 +189,7 @@ class _Fit:
 
     @property
     def n(self) -> int:
-        return self.power.shape[1]
+        return int(self.power.shape[1])
 
     def value(self, parameters: Array) -> tuple[float, Array]:
         """Objective and its gradient; the parameters are motions and logarithms of gains."""
@@ -223,9 +223,7 @@ class _Fit:
     def descend(self, motions: Array, gains: Array) -> tuple[Array, Array]:
         """Return the motions and gains of the nearest minimum."""
         start = np.concatenate([motions.ravel(), np.log(gains)])
-        found = minimize(
-            self.value, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}
-        ).x
+        found = minimize(self.value, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x
         return found[: 2 * self.n].reshape(self.n, 2), np.exp(found[2 * self.n :])
 
     def search(self, motions: Array, gains: Array) -> bool:
