@@ -7,7 +7,7 @@ import pytest
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.motion import STILL, length_and_angle, motion_of, samples_of
+from pv_inspect.motion import STILL, detail_left, length_and_angle, motion_of, samples_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.psf import footprint_variance_lr_px2
 
@@ -150,3 +150,10 @@ def test_short_motions_stay_in_the_stencil_and_long_ones_take_more_samples() -> 
     assert samples_of(motion_of(0.9, 10.0), 4.0) == 1
     assert samples_of(motion_of(4.5, 10.0), 4.0) == 4
     assert samples_of(motion_of(4.5, 10.0), 1.0) == 4
+
+
+def test_motion_leaves_less_detail_the_longer_it_is() -> None:
+    assert detail_left(np.zeros((3, 2))) == pytest.approx(1.0)
+    shares = [detail_left(motion_of(length, 20.0)[None]) for length in (0.5, 1.5, 3.0, 5.0)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[-1] > 0
