@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.taps import fill_taps, locate
 
-__all__ = ["STILL", "MovingFrame", "length_and_angle", "motion_of", "samples_of"]
+__all__ = ["STILL", "MovingFrame", "detail_left", "length_and_angle", "motion_of", "samples_of"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
@@ -41,6 +41,17 @@ def length_and_angle(motion: Array) -> tuple[float, float]:
     """Length [LR px] and angle [deg, 0..180, from x to y] of a motion; 0, 0 for a still frame."""
     x, y = float(motion[0]), float(motion[1])
     return float(np.hypot(x, y)), float(np.rad2deg(np.arctan2(y, x)) % 180.0)
+
+
+def detail_left(motions: Array) -> float:
+    """Return the share of detail at 0.5 cycles / LR px that motions, (n, 2) LR px, leave.
+
+    The mean of the squared transfer function ``sinc(f . m)^2`` over directions and frames: 1 if
+    all frames are still.
+    """
+    angles = np.linspace(0.0, np.pi, 24, endpoint=False)
+    f = 0.5 * np.column_stack([np.cos(angles), np.sin(angles)])
+    return float((np.sinc(motions @ f.T) ** 2).mean())
 
 
 def samples_of(motion: Array, magnification: float) -> int:

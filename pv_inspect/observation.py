@@ -362,7 +362,8 @@ class NormalEquations:
         lumped = np.maximum(self._still_coverage, self.stencil.diagonal)
         for frame, weights, spread in self.moving:
             frame.scatter(weights * lumped.dtype.type(spread), lumped)
-        return self.model.blur.apply_squared(lumped)
+        # At the end of a module's coverage single taps may be negative.
+        return self.model.blur.apply_squared(np.maximum(lumped, 0))
 
     @property
     def _still_coverage(self) -> Image:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid
-from pv_inspect.motion import STILL
+from pv_inspect.motion import STILL, detail_left
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.solver import Problem, first_guess, minimise
 
@@ -27,7 +27,8 @@ Image = NDArray[np.float32]
 _CANDIDATES = (0.25, 0.37, 0.49, 0.61, 0.73, 0.85, 1.0, 1.25)
 _REFINEMENT = 0.06
 # The residual is judged with a weaker prior than the image: a strong one takes part of the blur
-# that the eye would like to have removed for its own, and the estimate comes out too narrow.
+# that the eye would like to have removed for its own, and the estimate comes out too narrow. Frames
+# with motion blur say less of detail: the prior must weigh less by as much.
 _PRIOR_SHARE = 0.5
 _HELD_OUT = 0.1
 _ITERATIONS = 25
@@ -155,10 +156,11 @@ def estimate_psf_sigma(
         train.append(np.where(held_out, np.float32(0), view.weights))
         test.append(np.where(held_out, view.weights, np.float32(0)))
     scores: dict[float, float] = {}
+    share = _PRIOR_SHARE * detail_left(np.array([view.motion for view in views]))
 
     def judge(sigma: float) -> None:
         scores[sigma] = _held_out_residual(
-            camera, window, views, train, test, sigma, _PRIOR_SHARE * prior_weight
+            camera, window, views, train, test, sigma, share * prior_weight
         )
 
     for k, sigma in enumerate(_CANDIDATES):

@@ -241,6 +241,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
                 "gain": registration.gain[i] if used else None,
                 "offset": registration.offset[i] if used else None,
                 "rms": registration.rms[i] if used else None,
+                "motion_px_deg": reconstruction.motion[i] if reconstruction.motion else None,
             }
         )
     seconds = dict(inspection.seconds)
