@@ -58,7 +58,10 @@ class Made:
     frames: list[tuple[np.ndarray, np.ndarray]]
 
     def photometry(self) -> Photometry:
-        return drain(estimate_photometry(self.sequence, self.registration, self.model, self.image))
+        still = np.zeros((len(self.sequence), 2))
+        return drain(
+            estimate_photometry(self.sequence, self.registration, self.model, self.image, still)
+        )
 
 
 def drain(work: Generator[Any, None, T]) -> T:
@@ -188,7 +191,8 @@ def test_few_frames_are_not_corrected(
     few = Registration(
         r.layout, r.camera, r.homographies, np.arange(N) < 5, r.why, r.gain, r.offset, r.rms
     )
-    found = drain(estimate_photometry(made.sequence, few, made.model, made.image))
+    still = np.zeros((len(made.sequence), 2))
+    found = drain(estimate_photometry(made.sequence, few, made.model, made.image, still))
     np.testing.assert_array_equal(found.response, 1.0)
 
 
