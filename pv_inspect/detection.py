@@ -41,6 +41,8 @@ SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
 MIN_SEARCH_PX = 1.2
 SAMPLES_PER_CELL = 4
+MIN_ON_SIDE = 3
+"""So many outer edges say where the others of their side are."""
 
 
 @dataclass(frozen=True)
@@ -407,13 +409,29 @@ def _crossings(
             total, (edges.crossings[:, end], axis), precision * np.where(use, offsets.offset, 0)
         )
     known = weight > 0
-    shift = np.divide(total, weight, out=np.zeros_like(total), where=known)
+    shift = np.divide(total, weight, out=_side_shifts(layout, edges, offsets, use), where=known)
     points = pose.project(ideal + shift)
     scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
     variance = np.divide(1.0, weight, out=np.full_like(weight, (4 * spread) ** 2), where=known)
     measured = known.all(axis=1) & np.isfinite(points).all(axis=1)
     sigma = np.where(np.isfinite(scale), scale, np.inf) * np.sqrt(variance.mean(axis=1))
     return FrameCrossings(points, np.maximum(sigma, 0.01), np.asarray(measured))
+
+
+def _side_shifts(
+    layout: ModuleLayout, edges: CellEdges, offsets: EdgeOffsets, use: NDArray[np.bool_]
+) -> Array:
+    """How far each side of the module lies off the pose, for its crossings: (n_crossings, 2).
+
+    The outer cells may end elsewhere than the pitch of the others says, all along a side.
+    """
+    shift = np.zeros((layout.n_crossings, 2))
+    for axis in range(2):
+        for side in (1, -1):
+            on_it = ~edges.inner & (edges.normal[:, axis] == 1) & (edges.side == side)
+            if (on_it & use).sum() >= MIN_ON_SIDE:
+                shift[edges.crossings[on_it], axis] = np.median(offsets.offset[on_it & use])
+    return shift
 
 
 def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose: Pose) -> Pose:
