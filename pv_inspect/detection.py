@@ -42,6 +42,9 @@ SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
 MIN_SEARCH_PX = 1.2
 SAMPLES_PER_CELL = 4
+KAPPA_STEP = 1e-5
+MIN_GAPS_TO_COMPLETE = 30
+"""With fewer gaps between cells, most of them may be in place by chance."""
 EQUAL_STANDING = 0.2
 """Difference of the distances from the centre of the frame, as a share of the distance."""
 RUNS_OVER = "what is bright runs over the border of the image, no module is completely in view"
@@ -144,7 +147,7 @@ def detect(
     for index in range(count):
         image = sequence.frame(index).image
         try:
-            found[index] = _find_module(image, layout, point, check_layout=not found)
+            found[index] = _find_module(image, layout, point, first=not found)
         except OutlineError as error:
             reasons[index] = str(error)
             ambiguous |= isinstance(error, TwoModulesError)
@@ -265,29 +268,35 @@ def _find_module(
     layout: ModuleLayout,
     inside: tuple[float, float] | None,
     *,
-    check_layout: bool,
+    first: bool,
 ) -> Found:
-    """Take the first outline in which the gaps of the layout are in place."""
-    first: OutlineError | None = None
+    """Take the first outline in which the gaps of the layout are in place.
+
+    Until one frame of the sequence is found, the layout is checked and missing corners are put
+    back; afterwards the frames that are found help the others.
+    """
+    reason: OutlineError | None = None
     complete: list[Outline] = []
     for outline in find_outlines(image, inside):
         if outline.cut:
-            first = first or OutlineError(RUNS_OVER)
+            reason = reason or OutlineError(RUNS_OVER)
             continue
         complete.append(outline)
         try:
-            found = _fitted(image, layout, outline, check_layout)
+            found = _fitted(image, layout, outline, first)
         except OutlineError as error:
-            first = first or error
+            reason = reason or error
             continue
         if inside is None:
             _refuse_a_second(image, layout, found)
         return found
     # Dead cells at a corner of the module take it out of the outline.
-    for outline in (whole for one in complete for whole in one.completed()):
+    edges = cell_edges(layout)
+    incomplete = complete if first and edges.inner.sum() >= MIN_GAPS_TO_COMPLETE else []
+    for outline in (whole for one in incomplete for whole in one.completed()):
         with contextlib.suppress(OutlineError):
-            return _fitted(image, layout, outline, check_layout)
-    raise first or OutlineError("no module")
+            return _fitted(image, layout, outline, first)
+    raise reason or OutlineError("no module")
 
 
 def _fitted(
@@ -477,9 +486,33 @@ def _refine(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:
         distance = np.nan_to_num(((moved - middle) * normal).sum(axis=1), nan=1.0)
         return np.append(weight * distance, (parameters[8] - pose.camera.kappa) / 0.2)
 
+    normalised = pose.camera.to_normalised(pixels)
+
+    def derivatives(parameters: Array) -> Array:
+        # Module point = q[:2] / q[2], q = inner P^-1 ray: the eight of P analytically, kappa by
+        # a difference, since it moves nothing but the rays.
+        matrix = np.append(parameters[:8], 1.0).reshape(3, 3)
+        inverse = np.linalg.inv(matrix)
+        to_plane = inner @ inverse
+        moved = []
+        for kappa in (parameters[8], parameters[8] + KAPPA_STEP):
+            ray = Camera(pose.camera.K, float(kappa)).undistort(normalised)
+            q = np.column_stack([ray, np.ones(len(ray))]) @ to_plane.T
+            moved.append((ray, q, q[:, :2] / q[:, 2:]))
+        (ray, q, point), (_, _, further) = moved
+        s = np.column_stack([ray, np.ones(len(ray))]) @ inverse.T
+        along = ((normal @ to_plane[:2]) - (normal * point).sum(axis=1)[:, None] * to_plane[2]) / q[
+            :, 2:
+        ]
+        by_matrix = -(along[:, :, None] * s[:, None, :]).reshape(len(s), 9)[:, :8]
+        by_kappa = ((further - point) * normal).sum(axis=1) / KAPPA_STEP
+        rows = np.nan_to_num(weight[:, None] * np.column_stack([by_matrix, by_kappa]))
+        return np.vstack([rows, np.append(np.zeros(8), 1 / 0.2)])
+
     fit = least_squares(
         residuals,
         np.append(first.ravel()[:8], pose.camera.kappa),
+        derivatives,
         loss="cauchy",
         f_scale=2.0,
         max_nfev=40,
