@@ -75,6 +75,13 @@ class Settings(BaseModel):
         ge=0.1,
         le=10,
     )
+    module_at: tuple[Finite, Finite] | None = _tunable(
+        None,
+        Stage.DETECT,
+        "LR px",
+        "x and y of a point inside of the wanted module in the first frame; the completely "
+        "visible module nearest to the centre if not given.",
+    )
     dark_frame: Path | None = _tunable(
         None,
         Stage.LOAD,
