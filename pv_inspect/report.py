@@ -107,7 +107,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
             }
         )
     seconds = inspection.seconds
-    rms = np.asarray(registration.rms, np.float64)[registration.used]
+    rms = np.asarray(reconstruction.residual_rms, np.float64)[registration.used]
     return {
         "title": inspection.sequence.source.resolve().name,
         "source": str(inspection.sequence.source),
@@ -125,6 +125,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "overlay": _overlay(cracks.probability, marks, _MODULE_PX),
         "boxes": _boxes(cracks.cells, grid, picture.shape[1] / grid.shape[1]),
         "picture_size": picture.shape[1::-1],
+        "consistency": _jpeg(_grey(_shrunk(reconstruction.consistency, _SUPPORT_PX), 0.5, 3.0)),
         "support": _jpeg(_grey(_shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
         "frames": _frame_rows(inspection),
         "camera": registration.camera,
@@ -143,9 +144,10 @@ def _content(inspection: Inspection) -> dict[str, Any]:
 
 
 def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
-    registration = inspection.registration
+    registration, reconstruction = inspection.registration, inspection.reconstruction
     assert registration is not None
-    rms = np.where(registration.used, registration.rms, np.nan).astype(np.float64)
+    assert reconstruction is not None
+    rms = np.where(registration.used, reconstruction.residual_rms, np.nan).astype(np.float64)
     longest = float(np.nanmax(rms)) if np.isfinite(rms).any() else 1.0
     return [
         {
@@ -156,6 +158,7 @@ def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
             "bar": 100 * float(rms[i]) / longest if np.isfinite(rms[i]) and longest > 0 else 0.0,
             "gain": float(registration.gain[i]),
             "offset": float(registration.offset[i]),
+            "motion": reconstruction.motion[i],
         }
         for i, name in enumerate(inspection.sequence.names)
     ]

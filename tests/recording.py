@@ -92,9 +92,3 @@ def drain(work: Generator[Any, None, T]) -> T:
         except StopIteration as end:
             result: T = end.value
             return result
-
-
-def rms_inside(image: np.ndarray, scene: np.ndarray, grid: HrGrid) -> float:
-    x0, y0 = (grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
-    x1, y1 = (grid.to_pixels(np.asarray(LAYOUT.size)) + 0.5).astype(int)
-    return float(np.sqrt(((image - scene)[y0:y1, x0:x1] ** 2).mean()))

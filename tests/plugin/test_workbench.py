@@ -78,6 +78,7 @@ def test_a_run_shows_module_image_support_cracks_and_cells(
     image = viewer.layers["Module image"]
     np.testing.assert_array_equal(image.data, replayed.inspection.reconstruction.image)
     assert not viewer.layers["Support"].visible
+    assert not viewer.layers["Contradictions"].visible
     assert viewer.layers["Cracks"].data.shape == image.data.shape
     assert cells.cells.rowCount() == 12
     assert dock.result.save.isEnabled()
