@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import Trial, choose_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
+from pv_inspect.psf_estimation import View, cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -26,6 +27,8 @@ Image = NDArray[np.float32]
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
+# lambda that the PSF is estimated with where the user gave none.
+_TYPICAL_PRIOR_WEIGHT = 0.5
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -69,6 +72,11 @@ class Reconstruction:
         Value of Eq. 7 after every round of the solver.
     converged : bool
         False: the iteration limit came first.
+    lambda_curve : tuple of (float, float)
+        Weights that were tried and what they left of held-out pixels, mean square in noise units;
+        empty if the user gave lambda.
+    iterations : int
+        Steps of the solver.
     """
 
     image: Image
@@ -78,6 +86,8 @@ class Reconstruction:
     psf_sigma_lr_px: float
     objective: tuple[float, ...]
     converged: bool
+    lambda_curve: tuple[tuple[float, float], ...] = ()
+    iterations: int = 0
 
 
 def reconstruct(
@@ -90,8 +100,8 @@ def reconstruct(
     sequence : Sequence
     registration : Registration
     settings : Settings
-        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None) and
-        ``max_iterations`` count here.
+        ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
+        None) and ``max_iterations`` count here.
 
     Yields
     ------
@@ -125,8 +135,16 @@ def reconstruct(
         rays, registration.camera, registration.homographies[used], grid, sigma
     )
     equations = NormalEquations.empty(model)
+    windows = windows_of(grid) if settings.prior_weight is None else []
+    views: list[list[View]] = [[] for _ in windows]
     for k, i in enumerate(used):
         g, weights = observed(sequence, registration, int(i))
+        for window, seen in zip(windows, views, strict=True):
+            view = cut_view(
+                registration.camera, registration.homographies[i], rays, window, g, weights
+            )
+            if view is not None:
+                seen.append(view)
         equations.add(registration.homographies[i], g, weights)
         yield Progress(
             0.2 + 0.2 * (k + 1) / used.size, f"adding frame {k + 1} of {used.size}, {psf}"
@@ -136,8 +154,20 @@ def reconstruct(
             "None of the registered frames shows any part of the module: check rows, cols and the "
             "crossing points."
         )
+    prior_weight = settings.prior_weight
+    curve: tuple[tuple[float, float], ...] = ()
+    if prior_weight is None:
+        trials = [Trial(w, tuple(seen)) for w, seen in zip(windows, views, strict=True)]
+        choice = choose_prior_weight(registration.camera, trials, sigma, settings.prior)
+        while True:
+            try:
+                share = next(choice)
+            except StopIteration as end:
+                prior_weight, curve = end.value
+                break
+            yield Progress(0.4 + 0.1 * share, "choosing lambda from held-out pixels")
     guess = first_guess(equations)
-    problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
+    problem = Problem(equations, prior_weight, _brightness(guess, grid), settings.prior)
     solver = minimise(problem, guess, settings.max_iterations)
     while True:
         try:
@@ -147,15 +177,17 @@ def reconstruct(
             break
         share = state.iterations / settings.max_iterations
         message = f"solving, step {state.iterations} of at most {settings.max_iterations}, {psf}"
-        yield Progress(0.4 + 0.59 * share, message, np.asarray(state.image, np.float32))
+        yield Progress(0.5 + 0.49 * share, message, np.asarray(state.image, np.float32))
     return Reconstruction(
         np.asarray(solution.image, np.float32),
         _support(equations, solution),
         grid,
-        settings.prior_weight,
+        prior_weight,
         sigma,
         solution.objective,
         solution.converged,
+        curve,
+        solution.iterations,
     )
 
 
@@ -236,7 +268,9 @@ def _estimate_psf(
             views.append(view)
     if not views:
         return _TYPICAL_SIGMA
-    estimate = estimate_psf_sigma(camera, window, views, settings.prior_weight)
+    given = settings.prior_weight
+    prior_weight = _TYPICAL_PRIOR_WEIGHT if given is None else given
+    estimate = estimate_psf_sigma(camera, window, views, prior_weight)
     while True:
         try:
             share = next(estimate)
