@@ -37,7 +37,7 @@ _PLANES = np.array([(1, 2), (5, 10), (6, 12), (4, 8)])
 # direction of an edge.
 _STEP_WEIGHTS = np.array([1.0, 1.0, 0.25, 0.25])
 # Side of the neighbourhood that shares its weights, HR px.
-_GROUP = 3
+_GROUP = 5
 
 
 class Prior(Protocol):
@@ -77,13 +77,14 @@ class WeightedBtv:
     smoothing : float
         Curvature below which the norm is rounded off, units of c.
     exponent : float
-        p of the penalty, 0 < p <= 2; 1 is the total variation, 2 is quadratic.
+        p of the penalty, 0 < p <= 2: 0.5 is the sparsity of [1]_, 1 the total variation, 2
+        quadratic.
 
     Notes
     -----
     With the second differences d_s = f(x - s) - 2 f(x) + f(x + s) in four directions s,
 
-        R(f) = sum_x (u^p - e^p) / p,   u^2 = e^2 + mean_(3 x 3 around x) sum_s w_s (d_s / c)^2.
+        R(f) = sum_x (u^p - e^p) / p,   u^2 = e^2 + mean_(5 x 5 around x) sum_s w_s (d_s / c)^2.
 
     The adaptive weights u^(p-2) of [1]_ are thus shared by neighbours: an edge or a finger is a
     structure, not a single pixel, while noise is not. Second differences [3]_, because cells are
@@ -96,8 +97,8 @@ class WeightedBtv:
     """
 
     contrast: float
-    smoothing: float = 1.5
-    exponent: float = 1.0
+    smoothing: float = 0.75
+    exponent: float = 0.5
 
     def objective(self, image: Image) -> float:
         """R(f), summed in float64."""
@@ -198,7 +199,7 @@ class Btv:
 
 
 def _mean(image: Image) -> Image:
-    """Mean over 3 x 3 pixels, zeros outside of the image: a symmetric matrix."""
+    """Mean over 5 x 5 pixels, zeros outside of the image: a symmetric matrix."""
     mean = cv2.blur(image, (_GROUP, _GROUP), borderType=cv2.BORDER_CONSTANT)
     # Sums that slide over the image may leave zero by rounding.
     return np.maximum(np.asarray(mean, image.dtype), 0)
