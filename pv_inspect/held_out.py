@@ -33,7 +33,7 @@ CANDIDATES = {
 _HELD_OUT = 0.1
 _SEED = 7
 # Steps from the first guess, and from the image of the next stronger weight.
-_FIRST_STEPS, _NEXT_STEPS = 40, 16
+_FIRST_STEPS, _NEXT_STEPS = 50, 30
 # Residuals beyond this many sigma are outliers and count as this many.
 _OUTLIER = 5.0
 # Windows lie on the module's diagonals, and are this wide.
