@@ -27,8 +27,8 @@ Image = NDArray[np.float32]
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
-# lambda that the PSF is estimated with where the user gave none.
-_TYPICAL_PRIOR_WEIGHT = 0.5
+# lambda of the squared differences that the PSF is estimated with.
+_PSF_PRIOR_WEIGHT = 0.07
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -128,7 +128,7 @@ def reconstruct(
     yield Progress(0.02, "tracing the rays of the sensor")
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays)
+        sigma = yield from _estimate_psf(sequence, registration, grid, rays)
     psf = f"PSF sigma {sigma:.2f} LR px"
 
     model = ObservationModel.build(
@@ -246,7 +246,6 @@ def observed(sequence: Sequence, registration: Registration, frame: int) -> tupl
 def _estimate_psf(
     sequence: Sequence,
     registration: Registration,
-    settings: Settings,
     grid: HrGrid,
     rays: SensorRays,
 ) -> Generator[Progress, None, float]:
@@ -268,9 +267,7 @@ def _estimate_psf(
             views.append(view)
     if not views:
         return _TYPICAL_SIGMA
-    given = settings.prior_weight
-    prior_weight = _TYPICAL_PRIOR_WEIGHT if given is None else given
-    estimate = estimate_psf_sigma(camera, window, views, prior_weight)
+    estimate = estimate_psf_sigma(camera, window, views, _PSF_PRIOR_WEIGHT)
     while True:
         try:
             share = next(estimate)
