@@ -73,14 +73,21 @@ class Accumulation:
             self.sequence, self.registration, self.motion, equations, photometry, blurred
         )
 
-    def add(self, frame: int) -> None:
-        """Let one frame of the sequence enter."""
+    def add(self, frame: int) -> tuple[Image, Image]:
+        """Let one frame of the sequence enter.
+
+        Returns
+        -------
+        g, weights : (height, width) float32
+            What has entered: intensities on the module's scale and 1 / variance.
+        """
         H, motion = self.registration.homographies[frame], self.motion[frame]
         g, weights = observed(self.sequence, self.registration, frame, self.photometry)
         if self.blurred is not None:
             predicted = self.equations.model.frame(H, motion).sample(self.blurred)
             weights = huber_weights(g, np.asarray(predicted, np.float32), weights)
         self.equations.add(H, g, weights, motion)
+        return g, weights
 
     def compare(self, image: Image) -> Generator[int, None, tuple[Image, Array]]:
         """Compare all frames in use with an image of the module.

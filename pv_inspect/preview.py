@@ -176,7 +176,7 @@ class Preview:
             start = self._look(grid)
         if start is None:
             start = first_guess(equations)
-        problem = Problem(equations, weight, self._brightness)
+        problem = Problem(equations, weight, self._brightness, settings.prior)
         solution = _solved(minimise(problem, start, settings.max_iterations))
         self._image = np.asarray(solution.image, np.float32)
         return RegionImage(self._image, grid, cell, weight, sigma, solution.iterations)

@@ -191,10 +191,11 @@ def _held_out_residual(
     ]
     equations = NormalEquations.empty(models[0])
     for view, model, weights in zip(views, models, train, strict=True):
-        equations.model = model
-        equations.add(view.H, view.g, weights, view.motion)
+        equations.add(view.H, view.g, weights, view.motion, view.rays)
     guess = first_guess(equations)
-    solver = minimise(Problem(equations, prior_weight, float(np.median(guess))), guess, _ITERATIONS)
+    # A prior that sharpens edges by itself is content with too wide a PSF.
+    problem = Problem(equations, prior_weight, float(np.median(guess)), "tikhonov")
+    solver = minimise(problem, guess, _ITERATIONS, tolerance=0.0)
     for state in solver:
         image = state.image
     blurred = models[0].blur.apply(image)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from pv_inspect.accumulation import Accumulation
 from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import Trial, choose_prior_weight, typical_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import length_and_angle
 from pv_inspect.motion_estimation import estimate_motion
 from pv_inspect.observation import SensorRays
 from pv_inspect.photometry import Photometry, estimate_photometry, mean_illumination, observed
-from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
+from pv_inspect.prior import PriorName
+from pv_inspect.psf_estimation import View, cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -26,11 +28,18 @@ from pv_inspect.support import support_of
 __all__ = ["Progress", "Reconstruction", "bicubic", "brightness_of", "reconstruct", "solve"]
 
 Image = NDArray[np.float32]
+Curve = tuple[tuple[float, float], ...]
+
+_NO_CURVE: Curve = ()
 
 # Optical sigma [LR px] that the first look at the module assumes.
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
+# lambda of the squared differences that the PSF is estimated with.
+_PSF_PRIOR_WEIGHT = 0.07
+# Steps after which the solver is usually near its end; for the progress only.
+_TYPICAL_STEPS = 25.0
 # Solver steps to the module image that the sensor is judged by.
 _FIRST_LOOK = 10
 # HR rows that `bicubic` projects at a time.
@@ -87,6 +96,9 @@ class Reconstruction:
         still or not in use.
     iterations : int
         Steps of the solver.
+    lambda_curve : tuple of (float, float)
+        Weights that were tried and what they left of held-out pixels, mean square in noise units;
+        empty if the user gave lambda.
     photometry : Photometry, optional
         The sensor's part in the intensities, if it was looked for.
     """
@@ -102,6 +114,7 @@ class Reconstruction:
     residual_rms: tuple[float, ...]
     motion: tuple[tuple[float, float], ...]
     iterations: int
+    lambda_curve: Curve = ()
     photometry: Photometry | None = None
 
 
@@ -115,8 +128,8 @@ def reconstruct(
     sequence : Sequence
     registration : Registration
     settings : Settings
-        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None),
-        ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
+        ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
+        None), ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -147,9 +160,11 @@ def reconstruct(
         motion = estimate_motion(sequence, registration)
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays, motion)
+        sigma = yield from _estimate_psf(sequence, registration, grid, rays, motion)
     data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion)
-    yield from _all_added(data, used, 0.2, 0.35, "adding")
+    windows = windows_of(grid) if settings.prior_weight is None else []
+    begin, end = (0.2, 0.3) if settings.second_look else (0.2, 0.5)
+    trials = yield from _all_added(data, used, windows, begin, end)
     if data.equations.n_pixels == 0:
         raise InspectionError(
             "None of the registered frames shows any part of the module: check rows, cols and the "
@@ -157,21 +172,29 @@ def reconstruct(
         )
     start = first_guess(data.equations)
     if settings.second_look:
-        data, start = yield from _second_look(data, start, used, settings.prior_weight)
-    return (yield from solve(data, settings, start))
+        data, start = yield from _first_look(data, start, settings)
+        trials = yield from _all_added(data, used, windows, 0.42, 0.5)
+    weight, curve = settings.prior_weight, _NO_CURVE
+    if weight is None:
+        weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
+    made = yield from solve(data, start, weight, settings)
+    return replace(made, lambda_curve=curve)
 
 
 def solve(
-    data: Accumulation, settings: Settings, start: Image
+    data: Accumulation, start: Image, prior_weight: float, settings: Settings
 ) -> Generator[Progress, None, Reconstruction]:
     """Reconstruct the module from the frames that have entered so far.
 
     Parameters
     ----------
     data : Accumulation
-    settings : Settings
     start : (height, width) float32
         Image to start from: of `first_guess`, or what the frames before had given.
+    prior_weight : float
+        lambda.
+    settings : Settings
+        ``prior`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -183,8 +206,8 @@ def solve(
     """
     equations, grid = data.equations, data.equations.model.grid
     sigma = equations.model.psf_sigma_lr_px
-    weight = settings.prior_weight
-    problem = Problem(equations, weight, brightness_of(start, grid))
+    problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
+    told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
     solver = minimise(problem, start, settings.max_iterations)
     while True:
         try:
@@ -192,12 +215,9 @@ def solve(
         except StopIteration as end:
             solution: Solution = end.value
             break
-        share = state.iterations / settings.max_iterations
-        yield Progress(
-            0.6 + 0.3 * share,
-            f"solving, step {state.iterations}, PSF sigma {sigma:.2f} LR px",
-            np.asarray(state.image, np.float32),
-        )
+        share = 1 - np.exp(-state.iterations / _TYPICAL_STEPS)
+        now = np.asarray(state.image, np.float32)
+        yield Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
     image = np.asarray(solution.image, np.float32)
     yield Progress(0.91, "asking what the frames have earned", image)
     support = support_of(equations, solution.prior)
@@ -216,7 +236,7 @@ def solve(
         image,
         support,
         grid,
-        weight,
+        prior_weight,
         sigma,
         solution.objective,
         solution.converged,
@@ -224,7 +244,7 @@ def solve(
         tuple(float(r) for r in residual_rms),
         tuple(length_and_angle(m) for m in data.motion),
         solution.iterations,
-        data.photometry,
+        photometry=data.photometry,
     )
 
 
@@ -261,27 +281,43 @@ def bicubic(
 
 
 def _all_added(
-    data: Accumulation, frames: NDArray[np.intp], begin: float, end: float, doing: str
-) -> Generator[Progress, None, None]:
+    data: Accumulation,
+    frames: NDArray[np.intp],
+    windows: list[HrGrid],
+    begin: float,
+    end: float,
+) -> Generator[Progress, None, list[Trial]]:
+    """Let all frames enter; returns what they show of some windows."""
+    registration, rays = data.registration, data.equations.model.rays
+    views: list[list[View]] = [[] for _ in windows]
     for k, i in enumerate(frames):
-        data.add(int(i))
+        g, weights = data.add(int(i))
+        H, motion = registration.homographies[i], data.motion[i]
+        for window, seen in zip(windows, views, strict=True):
+            view = cut_view(registration.camera, H, rays, window, g, weights, motion)
+            if view is not None:
+                seen.append(view)
         share = begin + (end - begin) * (k + 1) / frames.size
-        yield Progress(share, f"{doing} frame {k + 1} of {frames.size}")
+        yield Progress(share, f"adding frame {k + 1} of {frames.size}")
+    return [Trial(window, tuple(seen)) for window, seen in zip(windows, views, strict=True)]
 
 
-def _second_look(
-    data: Accumulation, start: Image, frames: NDArray[np.intp], prior_weight: float
+def _first_look(
+    data: Accumulation, start: Image, settings: Settings
 ) -> Generator[Progress, None, tuple[Accumulation, Image]]:
-    """Add all frames again, less what the sensor did to them, outliers with lower weights.
+    """Look at the module once to learn what the sensor does, and begin anew.
 
-    Returns the data and the image as it is without the vignetting.
+    Returns data without a frame as yet, and the image as it is without the vignetting.
     """
     model, registration = data.equations.model, data.registration
-    problem = Problem(data.equations, prior_weight, brightness_of(start, model.grid))
+    weight = settings.prior_weight
+    if weight is None:
+        weight = typical_prior_weight(settings.prior)
+    problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
     look = start
     for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
         look = np.asarray(state.image, np.float32)
-        yield Progress(0.35 + 0.1 * step / _FIRST_LOOK, "a first look at the module", look)
+        yield Progress(0.3 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
     steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
     while True:
         try:
@@ -289,17 +325,27 @@ def _second_look(
         except StopIteration as end:
             photometry: Photometry = end.value
             break
-        yield Progress(0.45 + 0.04 * share, "telling the sensor from the scene")
+        yield Progress(0.38 + 0.04 * share, "telling the sensor from the scene")
     look = look / mean_illumination(photometry, registration, model)
-    again = data.again(look, photometry)
-    yield from _all_added(again, frames, 0.49, 0.6, "adding once more")
-    return again, look
+    return data.again(look, photometry), look
+
+
+def _choose_prior_weight(
+    registration: Registration, trials: list[Trial], sigma: float, prior: PriorName
+) -> Generator[Progress, None, tuple[float, Curve]]:
+    choice = choose_prior_weight(registration.camera, trials, sigma, prior)
+    while True:
+        try:
+            share = next(choice)
+        except StopIteration as end:
+            found: tuple[float, Curve] = end.value
+            return found
+        yield Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels")
 
 
 def _estimate_psf(
     sequence: Sequence,
     registration: Registration,
-    settings: Settings,
     grid: HrGrid,
     rays: SensorRays,
     motion: NDArray[np.float64],
@@ -322,7 +368,7 @@ def _estimate_psf(
             views.append(view)
     if not views:
         return _TYPICAL_SIGMA
-    estimate = estimate_psf_sigma(camera, window, views, settings.prior_weight)
+    estimate = estimate_psf_sigma(camera, window, views, _PSF_PRIOR_WEIGHT)
     while True:
         try:
             share = next(estimate)

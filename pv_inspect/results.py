@@ -278,6 +278,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
             "iterations": reconstruction.iterations,
             "converged": reconstruction.converged,
         },
+        "lambda_curve": reconstruction.lambda_curve,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
         "seconds": {**seconds, "total": sum(seconds.values())},

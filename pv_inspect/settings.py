@@ -144,11 +144,19 @@ class Settings(BaseModel):
         ge=1,
         le=6,
     )
-    prior_weight: Finite = _tunable(
-        0.7,
+    prior: Literal["wbtv", "btv", "tikhonov"] = _tunable(
+        "wbtv",
+        Stage.RECONSTRUCT,
+        "1",
+        "Prior of Eq. 7: weighted bilateral total variation of curvature, plain bilateral total "
+        "variation, or squared differences (Tikhonov).",
+    )
+    prior_weight: Finite | None = _tunable(
+        None,
         Stage.RECONSTRUCT,
         "noise units",
-        "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units.",
+        "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units; "
+        "found from held-out pixels if not given.",
         ge=0,
         le=1e3,
     )
@@ -176,10 +184,10 @@ class Settings(BaseModel):
         "vignetting are found and taken out, and pixels that contradict it count for less.",
     )
     max_iterations: int = _tunable(
-        60,
+        200,
         Stage.RECONSTRUCT,
         "1",
-        "Upper limit of solver iterations of the reconstruction.",
+        "Upper limit of solver iterations of the reconstruction; it ends when it has converged.",
         ge=1,
         le=1000,
     )

@@ -45,10 +45,10 @@ def test_a_run_that_is_split_ends_like_one_that_is_not() -> None:
     data = begun(sequence, registration)
     for i in range(6):
         data.add(i)
-    early = drain(solve(data, SETTINGS, first_guess(data.equations)))
+    early = drain(solve(data, first_guess(data.equations), 0.5, SETTINGS))
     for i in range(6, 10):
         data.add(i)
-    late = drain(solve(data, SETTINGS, early.image))
+    late = drain(solve(data, early.image, 0.5, SETTINGS))
     difference = float(np.sqrt(np.mean((late.image - whole.image) ** 2)))
     assert difference < 0.1 * float(np.sqrt(np.mean((early.image - whole.image) ** 2)))
     assert late.objective[-1] == pytest.approx(whole.objective[-1], rel=1e-3)

@@ -30,6 +30,20 @@ from tests.recording import (
 )
 
 
+def equations_of(sequence: Any, registration: Registration, model: Any) -> NormalEquations:
+    equations = NormalEquations.empty(model)
+    for H, image, a, b in zip(
+        registration.homographies,
+        sequence.images,
+        registration.gain,
+        registration.offset,
+        strict=True,
+    ):
+        weights = np.full(SHAPE, (a / NOISE) ** 2, np.float32)
+        equations.add(H, ((image - b) / a).astype(np.float32), weights)
+    return equations
+
+
 def rms_inside(image: np.ndarray, scene: np.ndarray, grid: HrGrid) -> float:
     x0, y0 = (grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
     x1, y1 = (grid.to_pixels(np.asarray(LAYOUT.size)) + 0.5).astype(int)
@@ -74,13 +88,37 @@ def test_bicubic_shows_the_same_place_and_brightness(
     assert shown[inner].mean() == pytest.approx(scene[inner].mean(), rel=0.01)
 
 
-def test_objective_falls_once_the_prior_is_fixed() -> None:
+@pytest.mark.parametrize("prior", ["wbtv", "btv", "tikhonov"])
+def test_objective_falls_from_round_to_round(prior: str) -> None:
     sequence, registration, _ = recording(6)
-    result = drain(reconstruct(sequence, registration, settings_with(max_iterations=80)))
+    weight = {"wbtv": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
+    settings = settings_with(max_iterations=600, prior=prior, prior_weight=weight)
+    result = drain(reconstruct(sequence, registration, settings))
     objective = np.array(result.objective)
-    assert len(objective) > 3
-    assert (np.diff(objective[2:]) <= 1e-5 * objective[2]).all()
+    assert len(objective) > 2
+    assert (np.diff(objective) <= 1e-5 * objective[0]).all()
     assert 0.5 < objective[-1] < 2.5
+    assert result.converged
+    assert 0 < result.iterations < 600
+    assert result.lambda_curve == ()
+
+
+def test_stopping_rule_is_right_against_ten_times_the_steps(
+    made: tuple[Any, Registration, np.ndarray, Reconstruction],
+) -> None:
+    sequence, registration, scene, result = made
+    weight = settings_with().prior_weight
+    assert weight is not None
+    model = ObservationModel.build(
+        SensorRays.of(CAMERA, SHAPE), CAMERA, registration.homographies, result.grid, SIGMA
+    )
+    equations = equations_of(sequence, registration, model)
+    problem = Problem(equations, weight, 0.5)
+    short = drain(minimise(problem, first_guess(equations), 1000))
+    long = drain(minimise(problem, first_guess(equations), 10 * short.iterations, 0.0))
+    assert short.converged
+    rms = [rms_inside(s.image, scene, result.grid) for s in (short, long)]
+    assert abs(20 * np.log10(rms[0] / rms[1])) < 0.1
 
 
 def test_support_is_high_where_frames_are_and_zero_where_none_is(
@@ -91,7 +129,7 @@ def test_support_is_high_where_frames_are_and_zero_where_none_is(
     assert result.support.max() <= 1
     assert result.support[0, 0] < 0.02
     h, w = result.support.shape
-    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.3
+    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.1
 
 
 def test_frames_that_did_not_move_claim_no_support(
@@ -185,7 +223,7 @@ def test_psf_width_is_found_from_held_out_pixels() -> None:
             strict=True,
         )
     ]
-    assert drain(estimate_psf_sigma(CAMERA, grid, views, 0.5)) == pytest.approx(SIGMA, rel=0.2)
+    assert drain(estimate_psf_sigma(CAMERA, grid, views, 0.07)) == pytest.approx(SIGMA, rel=0.2)
 
 
 def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:

@@ -60,7 +60,7 @@ class RunBox(QGroupBox):
         listen(model.settings_changed, self._on_settings)
         listen(model.sequence_changed, self._on_state)
         listen(model.run_changed, self._on_state)
-        listen(model.inspection_changed, self._on_state)
+        listen(model.inspection_changed, self._on_inspection)
         listen(model.progress_changed, self._on_progress)
         listen(model.noticed, self._on_notice)
         self._on_settings(model.settings)
@@ -73,7 +73,20 @@ class RunBox(QGroupBox):
 
     def _on_settings(self, settings: Settings) -> None:
         self.magnification.show_value(settings.magnification)
-        self.prior_weight.show_value(settings.prior_weight)
+        self._show_prior_weight()
+        self._on_state()
+
+    def _show_prior_weight(self) -> None:
+        """Show lambda: the user's, else the one that was found automatically."""
+        weight = self._model.settings.prior_weight
+        made = self._model.inspection
+        if weight is None and made is not None:
+            weight = made.reconstruction.prior_weight
+        if weight is not None:
+            self.prior_weight.show_value(weight)
+
+    def _on_inspection(self, _: object = None) -> None:
+        self._show_prior_weight()
         self._on_state()
 
     def _on_state(self, _: object = None) -> None:
