@@ -190,7 +190,7 @@ def _held_out_residual(
         ObservationModel.build(view.rays, camera, homographies, window, sigma) for view in views
     ]
     equations = NormalEquations.empty(models[0])
-    for view, model, weights in zip(views, models, train, strict=True):
+    for view, weights in zip(views, train, strict=True):
         equations.add(view.H, view.g, weights, view.motion, view.rays)
     guess = first_guess(equations)
     # A prior that sharpens edges by itself is content with too wide a PSF.
