@@ -105,7 +105,7 @@ def first_guess(equations: NormalEquations) -> Image:
 
 
 def minimise(
-    problem: Problem, start: Image, max_iterations: int, tolerance: float = 2e-3
+    problem: Problem, start: Image, max_iterations: int, tolerance: float = 7e-4
 ) -> Generator[Solution, None, Solution]:
     """Minimise E from a start image; yields after every conjugate gradient step.
 
@@ -117,7 +117,8 @@ def minimise(
         Limit of conjugate gradient steps in all.
     tolerance : float
         Converged when a whole round lowers E by less than this share of it and changes the image
-        by less than this share of the brightness, rms.
+        by less than three times this share of the brightness, rms. The default ends within about
+        0.1 dB of what ten times the steps give.
 
     Yields
     ------
@@ -170,7 +171,7 @@ def minimise(
         np.subtract(f, before, out=before)
         change = np.sqrt(dot(before, before) / f.size) / problem.brightness
         fall = objective[-2] - objective[-1] if rounds > 1 else np.inf
-        converged = bool(change < tolerance and fall < tolerance * objective[-1])
+        converged = bool(change < 3.0 * tolerance and fall < tolerance * objective[-1])
     return Solution(f, laplacian, tuple(objective), iterations, converged)
 
 

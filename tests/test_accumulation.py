@@ -41,16 +41,20 @@ def test_frames_may_enter_in_any_order() -> None:
 
 def test_a_run_that_is_split_ends_like_one_that_is_not() -> None:
     sequence, registration, _ = recording(10)
-    whole = drain(reconstruct(sequence, registration, SETTINGS))
+    # Squares have one minimiser; the sparse prior has several, close to each other.
+    convex = SETTINGS.changed(prior="tikhonov", prior_weight=0.05)
+    whole = drain(reconstruct(sequence, registration, convex))
     data = begun(sequence, registration)
     for i in range(6):
         data.add(i)
-    early = drain(solve(data, first_guess(data.equations), 0.5, SETTINGS))
+    early = drain(solve(data, first_guess(data.equations), 0.05, convex))
     for i in range(6, 10):
         data.add(i)
-    late = drain(solve(data, early.image, 0.5, SETTINGS))
-    difference = float(np.sqrt(np.mean((late.image - whole.image) ** 2)))
-    assert difference < 0.1 * float(np.sqrt(np.mean((early.image - whole.image) ** 2)))
+    late = drain(solve(data, early.image, 0.05, convex))
+    # Around the module hardly anything holds the image in its place.
+    inside = np.s_[25:-25, 25:-25]
+    difference = float(np.sqrt(np.mean((late.image - whole.image)[inside] ** 2)))
+    assert difference < 0.1 * float(np.sqrt(np.mean((early.image - whole.image)[inside] ** 2)))
     assert late.objective[-1] == pytest.approx(whole.objective[-1], rel=1e-3)
 
 

@@ -129,7 +129,7 @@ def test_support_is_high_where_frames_are_and_zero_where_none_is(
     assert result.support.max() <= 1
     assert result.support[0, 0] < 0.02
     h, w = result.support.shape
-    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.1
+    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.25
 
 
 def test_frames_that_did_not_move_claim_no_support(
@@ -137,8 +137,11 @@ def test_frames_that_did_not_move_claim_no_support(
 ) -> None:
     still, registration, _ = recording(16, moving=False)
     result = drain(reconstruct(still, registration, settings_with(max_iterations=20)))
-    moving = made[3].support
-    assert np.median(result.support) < 0.2 * np.median(moving)
+    h, w = result.support.shape
+    inner = np.s_[h // 3 : -h // 3, w // 3 : -w // 3]
+    # One sample per LR pixel is not nothing: it says a tenth of what lies beyond its own limit.
+    assert np.median(result.support[inner]) < 0.13
+    assert np.median(result.support[inner]) < 0.4 * np.median(made[3].support[inner])
 
 
 @pytest.mark.parametrize("magnification", [1.0, 2.5, 6.0])
