@@ -134,12 +134,30 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
         "prior_weight": reconstruction.prior_weight,
+        "lambda_plot": _lambda_plot(reconstruction.lambda_curve, reconstruction.prior_weight),
         "cracks": cracks,
         "settings": _setting_rows(inspection),
         "seconds": seconds,
         "total_seconds": sum(seconds.values()),
         "versions": versions(),
         "warnings": inspection.warnings,
+    }
+
+
+def _lambda_plot(curve: tuple[tuple[float, float], ...], chosen: float) -> dict[str, Any] | None:
+    """Points of the held-out curve in a box of 300 x 110; None if there is no curve."""
+    if len(curve) < 2:
+        return None
+    weights, errors = np.log(np.array(curve)).T
+    span_x, span_y = np.ptp(weights), max(float(np.ptp(errors)), 1e-9)
+    x = 20 + 260 * (weights - weights.min()) / span_x
+    y = 90 - 75 * (errors - errors.min()) / span_y
+    at = 20 + 260 * (np.log(chosen) - weights.min()) / span_x
+    return {
+        "points": " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True)),
+        "chosen": float(np.clip(at, 20, 280)),
+        "low": curve[0][0],
+        "high": curve[-1][0],
     }
 
 

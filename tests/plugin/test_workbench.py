@@ -302,3 +302,19 @@ def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
     assert not dock.bench.has_gallery
     run(dock, qtbot)
     assert "Cells" in viewer.window.dock_widgets
+
+
+def test_lambda_is_automatic_until_the_user_moves_it_and_can_be_again(
+    bench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    _, dock, _ = bench
+    model = dock.bench.model
+    assert dock.run.automatic.isChecked()
+    dock.run.prior_weight.number.setValue(2.0)
+    assert not dock.run.automatic.isChecked()
+    assert model.settings.prior_weight == 2.0
+    dock.run.automatic.setChecked(True)
+    assert model.settings.prior_weight is None
+    run(dock, qtbot)
+    found = replayed.inspection.reconstruction.prior_weight
+    assert dock.run.prior_weight.value == pytest.approx(found, abs=1e-3)
