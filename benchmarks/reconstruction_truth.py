@@ -93,7 +93,7 @@ def main() -> None:
     args = parser.parse_args()
     scorer = load_scorer(args.scorer)
     folders = sorted(p for p in args.sequences.iterdir() if (p / "truth").is_dir())
-    weights = args.prior_weight or [Settings().prior_weight]
+    weights = args.prior_weight or [None]
     print(
         "name  lambda  sigma (true)   bicubic   PSNR  gain   raw   FRC  steps conv CPU s wall s GiB"
     )
@@ -121,7 +121,7 @@ def main() -> None:
             hr = score(scorer, folder, result.image, result.grid)
             flat = hr["aligned_flat"]["psnr_db"]
             print(
-                f"{folder.name:4} {weight:7.3g} {result.psf_sigma_lr_px:6.3f} "
+                f"{folder.name:4} {result.prior_weight:7.3g} {result.psf_sigma_lr_px:6.3f} "
                 f"({truth['psf']['sigma']:.2f}) {baseline:8.2f} {flat:8.2f} {flat - baseline:5.2f} "
                 f"{hr['raw']['psnr_db']:6.2f} {hr['frc_cutoff']:5.2f} {steps:4d} "
                 f"{result.converged!s:6} {cpu:5.1f} {wall:6.1f} {peak:.2f}",

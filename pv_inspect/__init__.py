@@ -5,6 +5,7 @@ The names below are loaded when they are first used: ``import pv_inspect`` itsel
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
     from pv_inspect.settings import Settings, Stage
 
 __version__ = "0.1.0"
+
+# Threads that spin while they wait take the processor from those that work. It must be said before
+# compiled code starts its threads; whoever has said otherwise is right.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 __all__ = [
     "Inspection",

@@ -146,7 +146,9 @@ def run(
     rows: Annotated[int | None, _option("rows")] = None,
     cols: Annotated[int | None, _option("cols")] = None,
     cell_aspect: Annotated[float | None, _option("cell_aspect")] = None,
+    module_at: Annotated[tuple[float, float] | None, _option("module_at")] = None,
     magnification: Annotated[float | None, _option("magnification", "-m")] = None,
+    prior: Annotated[str | None, _option("prior")] = None,
     prior_weight: Annotated[float | None, _option("prior_weight", "--lambda")] = None,
     max_iterations: Annotated[int | None, _option("max_iterations")] = None,
     kappa: Annotated[float | None, _option("kappa")] = None,
@@ -156,10 +158,15 @@ def run(
     keep_frame: Annotated[list[str] | None, _option("keep_frames", "--keep-frame")] = None,
     skip_frame: Annotated[list[str] | None, _option("skip_frames", "--skip-frame")] = None,
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
+    motion_blur: Annotated[str | None, _option("motion_blur")] = None,
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
     detector: Annotated[str | None, _option("detector")] = None,
     cell_width_mm: Annotated[float | None, _option("cell_width_mm")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
+    flat_frame: Annotated[Path | None, _option("flat_frame")] = None,
+    second_look: Annotated[
+        bool | None, _option("second_look", "--second-look/--no-second-look")
+    ] = None,
     settings_file: Annotated[
         Path | None,
         typer.Option("--settings", help="TOML file of settings; the options above win over it."),
@@ -187,7 +194,9 @@ def run(
             "rows": rows,
             "cols": cols,
             "cell_aspect": cell_aspect,
+            "module_at": module_at,
             "magnification": magnification,
+            "prior": prior,
             "prior_weight": prior_weight,
             "kappa": kappa,
             "focal_length_px": focal_length,
@@ -196,7 +205,10 @@ def run(
             "keep_frames": keep_frame,
             "skip_frames": skip_frame,
             "psf_sigma_lr_px": psf_sigma,
+            "motion_blur": motion_blur,
             "dark_frame": dark_frame,
+            "flat_frame": flat_frame,
+            "second_look": second_look,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,
             "detector": detector,
@@ -207,7 +219,7 @@ def run(
         check_writable(out)
         _use_threads(threads)
         begun = perf_counter()
-        opened = Sequence.open(sequence, settings.dark_frame)
+        opened = Sequence.open(sequence, settings.dark_frame, settings.flat_frame)
         opened.indices((*settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)

@@ -8,6 +8,7 @@ where neighbouring cells differ in brightness; a crossing is where its measured 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 
@@ -41,6 +42,16 @@ SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
 MIN_SEARCH_PX = 1.2
 SAMPLES_PER_CELL = 4
+KAPPA_STEP = 1e-5
+MIN_GAPS_TO_COMPLETE = 30
+"""With fewer gaps between cells, most of them may be in place by chance."""
+EQUAL_STANDING = 0.2
+"""Difference of the distances from the centre of the frame, as a share of the distance."""
+RUNS_OVER = "what is bright runs over the border of the image, no module is completely in view"
+NEAR_CELLS = 0.5
+"""A point may be so many cells beside the module that it chooses."""
+MIN_ON_SIDE = 3
+"""So many outer edges say where the others of their side are."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +93,10 @@ class FrameCrossings:
         )
 
 
+class TwoModulesError(OutlineError):
+    """The frame shows two modules that are equally near to its centre."""
+
+
 Found = tuple[Pose, FrameCrossings]
 
 
@@ -106,8 +121,8 @@ def detect(
     sequence : Sequence
     layout : ModuleLayout
     inside : tuple of float, optional
-        (x, y) of a point in the wanted module, LR pixels, for frames that show several; by
-        default the completely visible module nearest to the centre.
+        (x, y) of a point in the wanted module, pixels of the first frame, for frames that show
+        several; by default the completely visible module nearest to the centre.
 
     Yields
     ------
@@ -121,17 +136,28 @@ def detect(
     Raises
     ------
     InspectionError
-        If no frame shows a module of that layout.
+        If no frame shows a module of that layout, or not at the given point, or if two modules
+        are equally near to the centre.
     """
     count = len(sequence)
     found: dict[int, Found] = {}
     reasons: dict[int, str] = {}
+    ambiguous = False
+    point = inside
     for index in range(count):
         image = sequence.frame(index).image
         try:
-            found[index] = _find_module(image, layout, inside, check_layout=not found)
+            found[index] = _find_module(image, layout, point, first=not found)
         except OutlineError as error:
             reasons[index] = str(error)
+            ambiguous |= isinstance(error, TwoModulesError)
+        else:
+            if inside is not None:
+                if len(found) == 1:
+                    _require_inside(inside, layout, found[index][0])
+                # The module moves from frame to frame, the point goes with it.
+                x, y = found[index][0].project(np.array([layout.size]) / 2)[0]
+                point = float(x), float(y)
         yield 0.8 * (index + 1) / count
     for index in sorted(reasons):
         if not found or reasons[index].startswith(("black", "saturated")):
@@ -146,11 +172,7 @@ def detect(
             reasons[index] = str(error)
         yield 0.8 + 0.2 * (index + 1) / count
     if not found:
-        first = min(reasons)
-        raise InspectionError(
-            f"No frame shows a module of {layout.rows} rows x {layout.cols} columns "
-            f"({sequence.names[first]}: {reasons[first]}): check the frames, rows and cols."
-        )
+        raise InspectionError(_nothing_found(sequence, layout, reasons, ambiguous))
     _same_way_up(sequence, layout, found)
     return Crossings(
         layout,
@@ -158,6 +180,40 @@ def detect(
             found[index][1] if index in found else FrameCrossings.failed(layout, reasons[index])
             for index in range(count)
         ),
+    )
+
+
+def _nothing_found(
+    sequence: Sequence, layout: ModuleLayout, reasons: dict[int, str], ambiguous: bool
+) -> str:
+    first = min(reasons)
+    module = f"{layout.rows} rows x {layout.cols} columns"
+    if ambiguous:
+        return (
+            f"{sequence.names[first]} shows {reasons[first]}: give a point inside of the wanted "
+            "one (module_at, --module-at X Y)."
+        )
+    if len(reasons) > 1 and set(reasons.values()) == {RUNS_OVER}:
+        return (
+            f"No frame shows a module of {module}: in all {len(reasons)} {RUNS_OVER}; at least "
+            "one frame must show the whole module."
+        )
+    return (
+        f"No frame shows a module of {module} ({sequence.names[first]}: {reasons[first]}): check "
+        "the frames, rows and cols."
+    )
+
+
+def _require_inside(point: tuple[float, float], layout: ModuleLayout, pose: Pose) -> None:
+    """Refuse a point that chooses the module only because no other is nearer."""
+    at = pose.unproject(np.array([point]))[0]
+    if np.all((at > -NEAR_CELLS) & (at < np.array(layout.size) + NEAR_CELLS)):
+        return
+    x, y = pose.project(np.array([layout.size]) / 2)[0]
+    raise InspectionError(
+        f"There is no module of {layout.rows} rows x {layout.cols} columns at "
+        f"({point[0]:g}, {point[1]:g}) px; the nearest lies around ({x:.0f}, {y:.0f}): give a "
+        "point inside of the wanted one (module_at, --module-at X Y)."
     )
 
 
@@ -212,30 +268,80 @@ def _find_module(
     layout: ModuleLayout,
     inside: tuple[float, float] | None,
     *,
-    check_layout: bool,
+    first: bool,
 ) -> Found:
-    """Take the first outline in which the gaps of the layout are in place."""
-    first: OutlineError | None = None
+    """Take the first outline in which the gaps of the layout are in place.
+
+    Until one frame of the sequence is found, the layout is checked and missing corners are put
+    back; afterwards the frames that are found help the others.
+    """
+    reason: OutlineError | None = None
+    complete: list[Outline] = []
     for outline in find_outlines(image, inside):
+        if outline.cut:
+            reason = reason or OutlineError(RUNS_OVER)
+            continue
+        complete.append(outline)
         try:
-            if outline.cut:
-                raise OutlineError("the border of the image cuts the module")
-            fits: list[Found] = []
-            for distorted in (True, False):
-                for start in _starts(image.shape, outline, layout, distorted):
-                    try:
-                        fits.append(
-                            detect_in_frame(image, layout, start, check_layout=check_layout)
-                        )
-                    except OutlineError as error:
-                        first = first or error
-                # The wrong orientation of a square outline may catch busbars, but not everywhere.
-                best = max(fits, key=_share_measured, default=None)
-                if best is not None and (not distorted or _share_measured(best) > SURE_SHARE):
-                    return best
+            found = _fitted(image, layout, outline, first)
         except OutlineError as error:
-            first = first or error
+            reason = reason or error
+            continue
+        if inside is None:
+            _refuse_a_second(image, layout, found)
+        return found
+    # Dead cells at a corner of the module take it out of the outline.
+    edges = cell_edges(layout)
+    incomplete = complete if first and edges.inner.sum() >= MIN_GAPS_TO_COMPLETE else []
+    for outline in (whole for one in incomplete for whole in one.completed()):
+        with contextlib.suppress(OutlineError):
+            return _fitted(image, layout, outline, first)
+    raise reason or OutlineError("no module")
+
+
+def _fitted(
+    image: NDArray[np.float32], layout: ModuleLayout, outline: Outline, check_layout: bool
+) -> Found:
+    """Find the crossing points within one outline, with lens distortion and else without."""
+    first: OutlineError | None = None
+    fits: list[Found] = []
+    for distorted in (True, False):
+        for start in _starts(image.shape, outline, layout, distorted):
+            try:
+                fits.append(detect_in_frame(image, layout, start, check_layout=check_layout))
+            except OutlineError as error:
+                first = first or error
+        # The wrong orientation of a square outline may catch busbars, but not everywhere.
+        best = max(fits, key=_share_measured, default=None)
+        if best is not None and (not distorted or _share_measured(best) > SURE_SHARE):
+            return best
     raise first or OutlineError("no module")
+
+
+def _refuse_a_second(image: NDArray[np.float32], layout: ModuleLayout, found: Found) -> None:
+    """Raise if the frame shows a module on its other side that is as near to the centre."""
+    height, width = image.shape
+    centre = np.array([width / 2, height / 2])
+    pose = found[0]
+    at = pose.project(np.array([layout.size]) / 2)[0]
+    middle = pose.unproject(centre[None])[0]
+    if np.all((middle > 0) & (middle < layout.size)):
+        return
+    opposite = 2 * centre - at
+    for outline in find_outlines(image, (float(opposite[0]), float(opposite[1]))):
+        corners = outline.corners_px
+        other = corners.mean(axis=0)
+        away = float(np.linalg.norm(other - opposite) / np.linalg.norm(at - centre))
+        if outline.cut or away > EQUAL_STANDING:
+            continue
+        try:
+            _fitted(image, layout, outline, check_layout=False)
+        except OutlineError:
+            continue
+        raise TwoModulesError(
+            f"two modules of equal standing, around ({at[0]:.0f}, {at[1]:.0f}) and "
+            f"({other[0]:.0f}, {other[1]:.0f}) px"
+        )
 
 
 def _share_measured(found: Found) -> float:
@@ -380,9 +486,33 @@ def _refine(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:
         distance = np.nan_to_num(((moved - middle) * normal).sum(axis=1), nan=1.0)
         return np.append(weight * distance, (parameters[8] - pose.camera.kappa) / 0.2)
 
+    normalised = pose.camera.to_normalised(pixels)
+
+    def derivatives(parameters: Array) -> Array:
+        # Module point = q[:2] / q[2], q = inner P^-1 ray: the eight of P analytically, kappa by
+        # a difference, since it moves nothing but the rays.
+        matrix = np.append(parameters[:8], 1.0).reshape(3, 3)
+        inverse = np.linalg.inv(matrix)
+        to_plane = inner @ inverse
+        moved = []
+        for kappa in (parameters[8], parameters[8] + KAPPA_STEP):
+            ray = Camera(pose.camera.K, float(kappa)).undistort(normalised)
+            q = np.column_stack([ray, np.ones(len(ray))]) @ to_plane.T
+            moved.append((ray, q, q[:, :2] / q[:, 2:]))
+        (ray, q, point), (_, _, further) = moved
+        s = np.column_stack([ray, np.ones(len(ray))]) @ inverse.T
+        along = ((normal @ to_plane[:2]) - (normal * point).sum(axis=1)[:, None] * to_plane[2]) / q[
+            :, 2:
+        ]
+        by_matrix = -(along[:, :, None] * s[:, None, :]).reshape(len(s), 9)[:, :8]
+        by_kappa = ((further - point) * normal).sum(axis=1) / KAPPA_STEP
+        rows = np.nan_to_num(weight[:, None] * np.column_stack([by_matrix, by_kappa]))
+        return np.vstack([rows, np.append(np.zeros(8), 1 / 0.2)])
+
     fit = least_squares(
         residuals,
         np.append(first.ravel()[:8], pose.camera.kappa),
+        derivatives,
         loss="cauchy",
         f_scale=2.0,
         max_nfev=40,
@@ -407,13 +537,29 @@ def _crossings(
             total, (edges.crossings[:, end], axis), precision * np.where(use, offsets.offset, 0)
         )
     known = weight > 0
-    shift = np.divide(total, weight, out=np.zeros_like(total), where=known)
+    shift = np.divide(total, weight, out=_side_shifts(layout, edges, offsets, use), where=known)
     points = pose.project(ideal + shift)
     scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
     variance = np.divide(1.0, weight, out=np.full_like(weight, (4 * spread) ** 2), where=known)
     measured = known.all(axis=1) & np.isfinite(points).all(axis=1)
     sigma = np.where(np.isfinite(scale), scale, np.inf) * np.sqrt(variance.mean(axis=1))
     return FrameCrossings(points, np.maximum(sigma, 0.01), np.asarray(measured))
+
+
+def _side_shifts(
+    layout: ModuleLayout, edges: CellEdges, offsets: EdgeOffsets, use: NDArray[np.bool_]
+) -> Array:
+    """How far each side of the module lies off the pose, for its crossings: (n_crossings, 2).
+
+    The outer cells may end elsewhere than the pitch of the others says, all along a side.
+    """
+    shift = np.zeros((layout.n_crossings, 2))
+    for axis in range(2):
+        for side in (1, -1):
+            on_it = ~edges.inner & (edges.normal[:, axis] == 1) & (edges.side == side)
+            if (on_it & use).sum() >= MIN_ON_SIDE:
+                shift[edges.crossings[on_it], axis] = np.median(offsets.offset[on_it & use])
+    return shift
 
 
 def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose: Pose) -> Pose:

@@ -151,6 +151,16 @@ class HrGrid:
         y0 = round(self.origin_px[1] + 0.5 + row * py)
         return slice(y0, y0 + h), slice(x0, x0 + w)
 
+    def window(self, rows: slice, cols: slice) -> HrGrid:
+        """Return the grid of a part of the image, given as [row, col] slices within it."""
+        (top, bottom, _), (left, right, _) = (
+            rows.indices(self.shape[0]),
+            cols.indices(self.shape[1]),
+        )
+        origin = (self.origin_px[0] - left, self.origin_px[1] - top)
+        shape = (bottom - top, right - left)
+        return HrGrid(self.layout, self.pixels_per_unit, origin, shape, self.magnification)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the part of ``result.json`` that places the HR image on the module plane."""
         return {

@@ -195,7 +195,9 @@ def _view(image: NDArray[np.float32], inside: tuple[float, float] | None) -> _Vi
         if _strength(best) > CLEAR:
             break
     if best is None:
-        raise OutlineError("the border of the image cuts the module")
+        raise OutlineError(
+            "what is bright runs over the border of the image, no module is completely in view"
+        )
     return best
 
 

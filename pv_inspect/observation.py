@@ -4,12 +4,13 @@ W_i = S_i B. One blur B on the HR grid carries what the footprints of all LR pix
 common; S_i places 3 x 3 taps at the position of every LR pixel whose first and second moments make
 up the rest, so that the varying scale and tilt of the module are respected. All frames together
 enter the normal equations as B (sum_i S_i' V_i^-1 S_i) B, whose middle part is one small stencil
-per HR pixel: its size does not depend on the number of frames.
+per HR pixel: its size does not depend on the number of frames. Frames with motion blur longer than
+the taps reach enter one by one, see `pv_inspect.motion`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
@@ -17,19 +18,16 @@ from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid
+from pv_inspect.motion import STILL, MovingFrame, samples_of
 from pv_inspect.psf import Blur, footprint_variance_lr_px2, kernel_of_variance
 from pv_inspect.stencil import Stencil
+from pv_inspect.taps import TAP_VARIANCE, fill_taps, locate
 
 __all__ = ["FrameOperator", "NormalEquations", "ObservationModel", "SensorRays"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.floating]
 
-# Second moment per axis that is left to the taps on average, HR px^2. Three taps at a position d
-# off the middle one are non-negative for moments from |d| - d^2 <= 1/4 up to 1 - d^2.
-_TAP_VARIANCE = 0.25
-# Limits of the taps' second moment: outside, they would sharpen or leave a hole.
-_TAP_VARIANCE_RANGE = (-0.15, 0.75)
 # LR rows that one thread works through; the bands between are another phase, so that the taps of
 # bands of the same phase never meet.
 _BAND_ROWS = 16
@@ -130,13 +128,38 @@ class ObservationModel:
         footprints = grid.pixels_per_unit * np.linalg.inv(per_unit)
         extent2 = (footprints**2).sum(2).mean(0)
         # The value of an HR pixel is the scene's mean over its area: 1/12 is in it already.
-        common = extent2 * variance - 1.0 / 12.0 - _TAP_VARIANCE
+        common = extent2 * variance - 1.0 / 12.0 - TAP_VARIANCE
         kernels = [kernel_of_variance(v, np.sqrt(w)) for v, w in zip(common, extent2, strict=True)]
         return cls(rays, grid, psf_sigma_lr_px, Blur(kernels[0], kernels[1]))
 
-    def frame(self, H: Array) -> FrameOperator:
-        """Return W_i of a frame with the homography H."""
-        return FrameOperator(self, np.asarray(H, dtype=np.float64))
+    def frame(self, H: Array, motion: Array = STILL) -> FrameOperator:
+        """Return W_i of a frame with the homography H and a motion (see `motion_of`)."""
+        return FrameOperator(self, np.asarray(H, dtype=np.float64), motion)
+
+    def samples(self, motion: Array) -> int:
+        """Samples along the path of a motion; one means that the taps alone carry it."""
+        return samples_of(motion, self.grid.magnification)
+
+    def moving(
+        self,
+        H: Array,
+        motion: Array,
+        wanted: NDArray[np.bool_] | None = None,
+        dtype: np.dtype[np.floating] | type[np.floating] = np.float64,
+    ) -> MovingFrame:
+        """Return S_i of a frame with motion blur as positions."""
+        rays = self.rays
+        return MovingFrame.build(
+            self.to_hr(H),
+            rays.xy,
+            rays.per_px,
+            self.moments,
+            motion,
+            self.samples(motion),
+            self.grid.shape,
+            wanted,
+            dtype,
+        )
 
     @property
     def moments(self) -> Array:
@@ -157,13 +180,13 @@ class FrameOperator:
     Notes
     -----
     ``g_l = sum_t c_{l,t} (B f)[p_l + t]``, t in {-1, 0, 1}^2 around the HR pixel p_l nearest to
-    m_i^-1(x_l). With the offset (d_x, d_y) from p_l and the second moments (v_x, v_y, v_xy) left to
-    the taps, ``c = a(d_x, v_x) a(d_y, v_y) + v_xy (t_x t_y) / 4``,
-    ``a = ((v + d^2 - d) / 2, 1 - v - d^2, (v + d^2 + d) / 2)``.
+    m_i^-1(x_l); the taps c are those of `pv_inspect.taps.fill_taps`. With motion blur it is the
+    mean of several such sums, see `pv_inspect.motion.MovingFrame`.
     """
 
     model: ObservationModel
     H: Array
+    motion: Array = field(default_factory=lambda: STILL)
 
     def forward(self, f: Image) -> Image:
         """Image the HR image f (height, width): the LR frame, 0 where `inside` is False."""
@@ -171,16 +194,16 @@ class FrameOperator:
 
     def sample(self, blurred: Image) -> Image:
         """S_i alone, on an image that is blurred already."""
-        rays = self.model.rays
-        out = np.zeros(rays.xy.shape[:2], blurred.dtype)
-        _forward(self._to_hr, rays.xy, rays.per_px, self.model.moments, blurred, out)
+        moving = self._moving
+        out = np.zeros(self.model.rays.xy.shape[:2], blurred.dtype)
+        out.reshape(-1)[moving.pixels] = moving.sample(blurred)
         return out
 
     def adjoint(self, g: Image) -> Image:
         """W_i' of an LR frame g: an HR image."""
-        rays, shape = self.model.rays, self.model.grid.shape
-        out = np.zeros(shape, g.dtype)
-        _adjoint(self._to_hr, rays.xy, rays.per_px, self.model.moments, g, out)
+        moving = self._moving
+        out = np.zeros(self.model.grid.shape, g.dtype)
+        moving.scatter(g.reshape(-1)[moving.pixels], out)
         return self.model.blur.apply(out)
 
     @property
@@ -200,6 +223,10 @@ class FrameOperator:
     def _to_hr(self) -> Array:
         return self.model.to_hr(self.H)
 
+    @property
+    def _moving(self) -> MovingFrame:
+        return self.model.moving(self.H, self.motion)
+
 
 @dataclass(eq=False)
 class NormalEquations:
@@ -216,6 +243,11 @@ class NormalEquations:
         ``sum_i g_i' V_i^-1 g_i``.
     n_pixels : int
         LR pixels that have entered.
+    n_still : int
+        Frames in the stencil.
+    moving : list of (MovingFrame, (n,) float32, float)
+        Frames whose motion is longer than the taps of the stencil reach: their samples, weights,
+        and peak of their PSF relative to that of a still frame.
     """
 
     model: ObservationModel
@@ -223,6 +255,8 @@ class NormalEquations:
     back_projection: Image
     energy: float = 0.0
     n_pixels: int = 0
+    n_still: int = 0
+    moving: list[tuple[MovingFrame, Image, float]] = field(default_factory=list)
 
     @classmethod
     def empty(
@@ -232,7 +266,14 @@ class NormalEquations:
         shape = model.grid.shape
         return cls(model, Stencil.zeros(shape, dtype), np.zeros(shape, dtype))
 
-    def add(self, H: Array, g: Image, weights: Image) -> None:
+    def add(
+        self,
+        H: Array,
+        g: Image,
+        weights: Image,
+        motion: Array = STILL,
+        rays: SensorRays | None = None,
+    ) -> None:
         """Add one frame.
 
         Parameters
@@ -242,14 +283,23 @@ class NormalEquations:
             Frame, mapped to the module's intensities.
         weights : (height, width) float32
             1 / variance per LR pixel; 0 where it must not count.
+        motion : (2,) float64
+            See `pv_inspect.motion.motion_of`.
+        rays : SensorRays, optional
+            Rays of g if it is only a part of the frame; default: those of the model.
         """
-        model = self.model
+        model = self.model if rays is None else replace(self.model, rays=rays)
         rays = model.rays
+        if model.samples(motion) > 1:
+            self._add_moving(model, H, g, weights, motion)
+            return
+        self.n_still += 1
         energy, n = _accumulate(
             model.to_hr(H),
             rays.xy,
             rays.per_px,
             model.moments,
+            np.append(motion, 1.0),
             g,
             weights,
             self.stencil.planes,
@@ -258,10 +308,28 @@ class NormalEquations:
         self.energy += float(energy)
         self.n_pixels += int(n)
 
+    def _add_moving(
+        self, model: ObservationModel, H: Array, g: Image, weights: Image, motion: Array
+    ) -> None:
+        kind = self.back_projection.dtype
+        frame = model.moving(H, motion, weights > 0, kind)
+        values = g.reshape(-1)[frame.pixels].astype(kind)
+        w = weights.reshape(-1)[frame.pixels].astype(kind)
+        frame.scatter(w * values, self.back_projection)
+        still = footprint_variance_lr_px2(model.psf_sigma_lr_px)
+        spread = np.sqrt(still / (still + (motion[0] ** 2 + motion[1] ** 2) / 12.0))
+        self.moving.append((frame, w, float(spread)))
+        self.energy += float(np.sum(w * values.astype(np.float64) ** 2))
+        self.n_pixels += len(w)
+
     def apply(self, f: Image) -> Image:
         """Apply ``B (sum_i S_i' V_i^-1 S_i) B`` to an HR image."""
         blur = self.model.blur
-        return blur.apply(self.stencil.apply(blur.apply(f)))
+        blurred = blur.apply(f)
+        out = self.stencil.apply(blurred) if self.n_still else np.zeros_like(blurred)
+        for frame, weights, _ in self.moving:
+            frame.add_normal(weights, blurred, out)
+        return blur.apply(out)
 
     @property
     def right_hand_side(self) -> Image:
@@ -271,77 +339,42 @@ class NormalEquations:
     @property
     def coverage(self) -> Image:
         """``sum_i S_i' V_i^-1 1``: the weight of the LR pixels around every HR pixel."""
-        return self.stencil.apply(np.ones(self.back_projection.shape, self.back_projection.dtype))
+        out = self._still_coverage
+        for frame, weights, _ in self.moving:
+            frame.scatter(weights, out)
+        return out
+
+    @property
+    def density(self) -> Image:
+        """Diagonal of ``sum_i S_i' V_i^-1 S_i``: how densely samples lie around an HR pixel."""
+        out = self.stencil.diagonal.copy()
+        for frame, weights, _ in self.moving:
+            frame.scatter(weights, out, power=2)
+        return out
 
     @property
     def diagonal(self) -> Image:
         """Positive approximation of the operator's diagonal, for preconditioning.
 
         The stencil is lumped to its row sums; where taps of either sign cancel, its own diagonal
-        stands in.
+        stands in. The row sums of frames that moved are lowered by what the motion widens the PSF.
         """
-        return self.model.blur.apply_squared(np.maximum(self.coverage, self.stencil.diagonal))
+        lumped = np.maximum(self._still_coverage, self.stencil.diagonal)
+        for frame, weights, spread in self.moving:
+            frame.scatter(weights * lumped.dtype.type(spread), lumped)
+        # At the end of a module's coverage single taps may be negative.
+        return self.model.blur.apply_squared(np.maximum(lumped, 0))
 
-
-@numba.njit(cache=True, inline="always")
-def _place(M, ray, per_px, moments, shape, taps):  # type: ignore[no-untyped-def]
-    """Nine taps of one LR pixel; returns the middle HR pixel (iy, ix), (-1, -1) if outside."""
-    u, v = ray[0], ray[1]
-    w = M[2, 0] * u + M[2, 1] * v + M[2, 2]
-    if not w > 0.0:
-        return -1, -1
-    x = (M[0, 0] * u + M[0, 1] * v + M[0, 2]) / w
-    y = (M[1, 0] * u + M[1, 1] * v + M[1, 2]) / w
-    rim = moments[3]
-    if not (rim <= x <= shape[1] - 1 - rim and rim <= y <= shape[0] - 1 - rim):
-        return -1, -1
-    a00, a01 = (M[0, 0] - x * M[2, 0]) / w, (M[0, 1] - x * M[2, 1]) / w
-    a10, a11 = (M[1, 0] - y * M[2, 0]) / w, (M[1, 1] - y * M[2, 1]) / w
-    j00 = a00 * per_px[0, 0] + a01 * per_px[1, 0]
-    j01 = a00 * per_px[0, 1] + a01 * per_px[1, 1]
-    j10 = a10 * per_px[0, 0] + a11 * per_px[1, 0]
-    j11 = a10 * per_px[0, 1] + a11 * per_px[1, 1]
-    low, high = _TAP_VARIANCE_RANGE
-    vx = min(max(moments[0] * (j00 * j00 + j01 * j01) - 1.0 / 12.0 - moments[1], low), high)
-    vy = min(max(moments[0] * (j10 * j10 + j11 * j11) - 1.0 / 12.0 - moments[2], low), high)
-    vxy = min(max(moments[0] * (j00 * j10 + j01 * j11), -high), high) / 4.0
-    ix, iy = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
-    dx, dy = x - ix, y - iy
-    mx, my = vx + dx * dx, vy + dy * dy
-    ax0, ax1, ax2 = (mx - dx) / 2.0, 1.0 - mx, (mx + dx) / 2.0
-    ay0, ay1, ay2 = (my - dy) / 2.0, 1.0 - my, (my + dy) / 2.0
-    taps[0], taps[1], taps[2] = ay0 * ax0 + vxy, ay0 * ax1, ay0 * ax2 - vxy
-    taps[3], taps[4], taps[5] = ay1 * ax0, ay1 * ax1, ay1 * ax2
-    taps[6], taps[7], taps[8] = ay2 * ax0 - vxy, ay2 * ax1, ay2 * ax2 + vxy
-    return iy, ix
+    @property
+    def _still_coverage(self) -> Image:
+        ones = np.ones(self.back_projection.shape, self.back_projection.dtype)
+        return self.stencil.apply(ones) if self.n_still else np.zeros_like(ones)
 
 
 @numba.njit(cache=True, parallel=True)
-def _forward(M, rays, per_px, moments, f, out):  # type: ignore[no-untyped-def]
-    for row in numba.prange(rays.shape[0]):
-        taps = np.empty(9)
-        for col in range(rays.shape[1]):
-            iy, ix = _place(M, rays[row, col], per_px[row, col], moments, f.shape, taps)
-            if iy >= 0:
-                s = 0.0
-                for t in range(9):
-                    s += taps[t] * f[iy + t // 3 - 1, ix + t % 3 - 1]
-                out[row, col] = s
-
-
-@numba.njit(cache=True)
-def _adjoint(M, rays, per_px, moments, g, out):  # type: ignore[no-untyped-def]
-    taps = np.empty(9)
-    for row in range(rays.shape[0]):
-        for col in range(rays.shape[1]):
-            iy, ix = _place(M, rays[row, col], per_px[row, col], moments, out.shape, taps)
-            if iy >= 0:
-                for t in range(9):
-                    out[iy + t // 3 - 1, ix + t % 3 - 1] += taps[t] * g[row, col]
-
-
-@numba.njit(cache=True, parallel=True)
-def _accumulate(M, rays, per_px, moments, g, weights, planes, back):  # type: ignore[no-untyped-def]
+def _accumulate(  # type: ignore[no-untyped-def]
+    M, rays, per_px, moments, motion, g, weights, planes, back
+):
     """Add S' V^-1 S and S' V^-1 g of one frame; returns g' V^-1 g and the number of pixels.
 
     Bands of LR rows run in two phases: the bands of one phase lie a band apart, and so do their
@@ -354,6 +387,7 @@ def _accumulate(M, rays, per_px, moments, g, weights, planes, back):  # type: ig
     for phase in range(2):
         for half in numba.prange((n_bands - phase + 1) // 2):
             band = 2 * half + phase
+            place = np.empty(7)
             taps = np.empty(9)
             weighted = np.empty(9, planes.dtype)
             narrow = np.empty(9, planes.dtype)
@@ -362,9 +396,11 @@ def _accumulate(M, rays, per_px, moments, g, weights, planes, back):  # type: ig
                     weight = weights[row, col]
                     if not weight > 0.0:
                         continue
-                    iy, ix = _place(M, rays[row, col], per_px[row, col], moments, back.shape, taps)
-                    if iy < 0:
+                    if not locate(
+                        M, rays[row, col], per_px[row, col], moments, motion, back.shape, place
+                    ):
                         continue
+                    iy, ix = fill_taps(place[0], place[1], place[4], place[5], place[6], taps)
                     value = np.float64(g[row, col])
                     energy[band] += weight * value * value
                     count[band] += 1

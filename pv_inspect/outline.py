@@ -31,6 +31,10 @@ Array = NDArray[np.float64]
 MIN_AREA_SHARE = 0.02
 LARGE_SHARE = 0.3
 MAX_COMPONENTS = 3
+MAX_MISSING_CORNER = 1.25
+"""Area of a module over that of the convex hull of what is bright of it."""
+BOW = 0.04
+"""How far distortion bends a side off the straight line, in square roots of the area."""
 CLOSINGS_PX = (9, 7, 5, 3)
 """Widths of gaps that are closed when the generous first one does not show the module."""
 
@@ -102,6 +106,33 @@ class Outline:
     points_px: Array
     corners_px: Array
     cut: bool
+
+    def completed(self) -> Iterator[Outline]:
+        """Yield the outline with a corner put back that dead cells took away.
+
+        The convex hull then has five sides; without the one across the missing corner its
+        neighbours meet where the corner of the module is. The contour of the dead cells is dropped.
+        """
+        hull = cv2.convexHull(self.points_px.astype(np.float32))
+        five = np.asarray(cv2.approxPolyN(hull, 5, ensure_convex=True), np.float64).reshape(-1, 2)
+        area = cv2.contourArea(hull)
+        for k in range(len(five)):
+            before, first, second, after = (five[(k + i) % len(five)] for i in (-1, 0, 1, 2))
+            sides = np.column_stack([first - before, after - second])
+            if abs(np.linalg.det(sides)) < 1e-6:
+                continue
+            ahead = np.linalg.solve(sides, second - first)
+            corner = first + ahead[0] * (first - before)
+            others = [five[(k + i) % len(five)] for i in (2, 3, 4)]
+            whole = np.array([corner, *others])
+            if (ahead > 0).all() and _area(whole) < MAX_MISSING_CORNER * area:
+                contour = whole[:, None].astype(np.float32)
+                reach = BOW * np.sqrt(area)
+                near = [
+                    abs(cv2.pointPolygonTest(contour, (float(x), float(y)), True)) < reach
+                    for x, y in self.points_px
+                ]
+                yield Outline(self.points_px[near], _clockwise(whole), self.cut)
 
 
 def conventional_camera(shape: tuple[int, int], kappa: float = 0.0) -> Camera:
@@ -298,6 +329,10 @@ def _contour(component: NDArray[np.uint8]) -> Outline | None:
     hull = cv2.convexHull(contour.astype(np.float32))
     corners = np.asarray(cv2.approxPolyN(hull, 4, ensure_convex=True), np.float64).reshape(-1, 2)
     return Outline(contour[inside], _clockwise(corners), bool((~inside).sum() > 10))
+
+
+def _area(polygon: Array) -> float:
+    return float(cv2.contourArea(polygon.astype(np.float32)))
 
 
 def _clockwise(corners: Array) -> Array:

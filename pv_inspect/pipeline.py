@@ -271,7 +271,7 @@ def _layout(
         return sequence.layout(settings), False
     if start is not None and Stage.DETECT not in start.stale(settings):
         return start.layout, start.layout_guessed
-    return guess_layout(sequence, settings).layout, True
+    return guess_layout(sequence, settings, settings.module_at).layout, True
 
 
 _Event = tuple[float, str, object | None]
@@ -281,7 +281,8 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
     """Run one stage; yields (fraction of the stage, message, preview)."""
     sequence, settings = state.sequence, state.settings
     if stage is Stage.DETECT:
-        return (yield from _told(detect(sequence, state.layout), "looking for the cell crossings"))
+        steps = detect(sequence, state.layout, settings.module_at)
+        return (yield from _told(steps, "looking for the cell crossings"))
     if stage is Stage.CALIBRATE:
         crossings = _present(state.crossings)
         _need_a_frame(sequence, [frame.why for frame in crossings.frames], state.layout)
@@ -292,10 +293,10 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
         _need_a_frame(sequence, _reasons(calibration), state.layout)
         if settings.registration_model == "homography":
             crossings = _present(state.crossings)
-            steps = register_by_homography(sequence, crossings, settings)
+            poses = register_by_homography(sequence, crossings, settings)
         else:
-            steps = register(sequence, calibration, settings)
-        return (yield from _told(steps, "registering the frames against the module"))
+            poses = register(sequence, calibration, settings)
+        return (yield from _told(poses, "registering the frames against the module"))
     if stage is Stage.RECONSTRUCT:
         registration = _present(state.registration)
         _need_a_frame(sequence, _reasons(registration), state.layout)

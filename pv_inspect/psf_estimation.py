@@ -8,13 +8,14 @@ forbids, too narrow a one for more contrast between neighbours than the prior be
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid
+from pv_inspect.motion import STILL, detail_left
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.solver import Problem, first_guess, minimise
 
@@ -26,7 +27,8 @@ Image = NDArray[np.float32]
 _CANDIDATES = (0.25, 0.37, 0.49, 0.61, 0.73, 0.85, 1.0, 1.25)
 _REFINEMENT = 0.06
 # The residual is judged with a weaker prior than the image: a strong one takes part of the blur
-# that the eye would like to have removed for its own, and the estimate comes out too narrow.
+# that the eye would like to have removed for its own, and the estimate comes out too narrow. Frames
+# with motion blur say less of detail: the prior must weigh less by as much.
 _PRIOR_SHARE = 0.5
 _HELD_OUT = 0.1
 _ITERATIONS = 25
@@ -46,12 +48,15 @@ class View:
     rays : SensorRays
     g, weights : (height, width) float32
         Intensities on the module's scale and 1 / variance.
+    motion : (2,) float64
+        See `pv_inspect.motion.motion_of`.
     """
 
     H: Array
     rays: SensorRays
     g: Image
     weights: Image
+    motion: Array = field(default_factory=lambda: STILL)
 
 
 def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> HrGrid:
@@ -86,7 +91,13 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
 
 
 def cut_view(
-    camera: Camera, H: Array, rays: SensorRays, window: HrGrid, g: Image, weights: Image
+    camera: Camera,
+    H: Array,
+    rays: SensorRays,
+    window: HrGrid,
+    g: Image,
+    weights: Image,
+    motion: Array = STILL,
 ) -> View | None:
     """Cut what a frame sees of a window; None if it sees nothing of it."""
     h, w = window.shape
@@ -106,7 +117,11 @@ def cut_view(
         return None
     part = (slice(low[1], high[1]), slice(low[0], high[0]))
     return View(
-        H, rays.cut(part), np.ascontiguousarray(g[part]), np.ascontiguousarray(weights[part])
+        H,
+        rays.cut(part),
+        np.ascontiguousarray(g[part]),
+        np.ascontiguousarray(weights[part]),
+        motion,
     )
 
 
@@ -141,10 +156,11 @@ def estimate_psf_sigma(
         train.append(np.where(held_out, np.float32(0), view.weights))
         test.append(np.where(held_out, view.weights, np.float32(0)))
     scores: dict[float, float] = {}
+    share = _PRIOR_SHARE * detail_left(np.array([view.motion for view in views]))
 
     def judge(sigma: float) -> None:
         scores[sigma] = _held_out_residual(
-            camera, window, views, train, test, sigma, _PRIOR_SHARE * prior_weight
+            camera, window, views, train, test, sigma, share * prior_weight
         )
 
     for k, sigma in enumerate(_CANDIDATES):
@@ -174,17 +190,18 @@ def _held_out_residual(
         ObservationModel.build(view.rays, camera, homographies, window, sigma) for view in views
     ]
     equations = NormalEquations.empty(models[0])
-    for view, model, weights in zip(views, models, train, strict=True):
-        equations.model = model
-        equations.add(view.H, view.g, weights)
+    for view, weights in zip(views, train, strict=True):
+        equations.add(view.H, view.g, weights, view.motion, view.rays)
     guess = first_guess(equations)
-    solver = minimise(Problem(equations, prior_weight, float(np.median(guess))), guess, _ITERATIONS)
+    # A prior that sharpens edges by itself is content with too wide a PSF.
+    problem = Problem(equations, prior_weight, float(np.median(guess)), "tikhonov")
+    solver = minimise(problem, guess, _ITERATIONS, tolerance=0.0)
     for state in solver:
         image = state.image
     blurred = models[0].blur.apply(image)
     total, n = 0.0, 0
     for view, model, weights in zip(views, models, test, strict=True):
-        sampled = model.frame(view.H).sample(blurred)
+        sampled = model.frame(view.H, view.motion).sample(blurred)
         use = (weights > 0) & (sampled != 0)
         z2 = weights[use] * (view.g[use] - sampled[use]) ** 2
         total += float(np.minimum(z2, _OUTLIER**2).sum())

@@ -3,29 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.accumulation import Accumulation
 from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import Trial, choose_prior_weight, typical_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf_estimation import cut_view, estimate_psf_sigma, window_of
+from pv_inspect.motion import length_and_angle
+from pv_inspect.motion_estimation import estimate_motion
+from pv_inspect.observation import SensorRays
+from pv_inspect.photometry import Photometry, estimate_photometry, mean_illumination, observed
+from pv_inspect.prior import PriorName
+from pv_inspect.psf_estimation import View, cut_view, estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.solver import Problem, Solution, first_guess, minimise
+from pv_inspect.support import support_of
 
-__all__ = ["Progress", "Reconstruction", "bicubic", "observed", "reconstruct"]
+__all__ = ["Progress", "Reconstruction", "bicubic", "brightness_of", "reconstruct", "solve"]
 
 Image = NDArray[np.float32]
+Curve = tuple[tuple[float, float], ...]
+
+_NO_CURVE: Curve = ()
 
 # Optical sigma [LR px] that the first look at the module assumes.
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
+# lambda of the squared differences that the PSF is estimated with.
+_PSF_PRIOR_WEIGHT = 0.07
+# Steps after which the solver is usually near its end; for the progress only.
+_TYPICAL_STEPS = 25.0
+# Solver steps to the module image that the sensor is judged by.
+_FIRST_LOOK = 10
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
 
@@ -58,7 +74,8 @@ class Reconstruction:
     image : (height, width) float32
         Intensities, full scale = 1.
     support : (height, width) float32
-        0..1: how much of a pixel is said by the frames; the rest is the prior's.
+        0..1: share of a detail just finer than the LR pixels that comes from the frames; see
+        `pv_inspect.support`.
     grid : HrGrid
         Where the pixels lie on the module.
     prior_weight : float
@@ -69,6 +86,21 @@ class Reconstruction:
         Value of Eq. 7 after every round of the solver.
     converged : bool
         False: the iteration limit came first.
+    consistency : (height, width) float32
+        Residual of the frames around a pixel in units of the noise: about 1 where they agree with
+        the image, more where they contradict it, 0 where no frame looks.
+    residual_rms : tuple of float
+        Robust residual per frame in units of the noise, NaN for frames not in use.
+    motion : tuple of (length, angle)
+        Motion blur per frame, LR px and degrees in the sensor plane; (0, 0) for frames that are
+        still or not in use.
+    iterations : int
+        Steps of the solver.
+    lambda_curve : tuple of (float, float)
+        Weights that were tried and what they left of held-out pixels, mean square in noise units;
+        empty if the user gave lambda.
+    photometry : Photometry, optional
+        The sensor's part in the intensities, if it was looked for.
     """
 
     image: Image
@@ -78,6 +110,12 @@ class Reconstruction:
     psf_sigma_lr_px: float
     objective: tuple[float, ...]
     converged: bool
+    consistency: Image
+    residual_rms: tuple[float, ...]
+    motion: tuple[tuple[float, float], ...]
+    iterations: int
+    lambda_curve: Curve = ()
+    photometry: Photometry | None = None
 
 
 def reconstruct(
@@ -90,8 +128,8 @@ def reconstruct(
     sequence : Sequence
     registration : Registration
     settings : Settings
-        ``magnification``, ``prior_weight``, ``psf_sigma_lr_px`` (estimated if None) and
-        ``max_iterations`` count here.
+        ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
+        None), ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -116,46 +154,97 @@ def reconstruct(
     grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, settings.magnification)
     rays = SensorRays.of(registration.camera, sequence.shape)
     yield Progress(0.02, "tracing the rays of the sensor")
+    motion = np.zeros((len(sequence), 2))
+    if settings.motion_blur == "auto":
+        yield Progress(0.03, "estimating the motion blur")
+        motion = estimate_motion(sequence, registration)
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, settings, grid, rays)
-    psf = f"PSF sigma {sigma:.2f} LR px"
-
-    model = ObservationModel.build(
-        rays, registration.camera, registration.homographies[used], grid, sigma
-    )
-    equations = NormalEquations.empty(model)
-    for k, i in enumerate(used):
-        g, weights = observed(sequence, registration, int(i))
-        equations.add(registration.homographies[i], g, weights)
-        yield Progress(
-            0.2 + 0.2 * (k + 1) / used.size, f"adding frame {k + 1} of {used.size}, {psf}"
-        )
-    if equations.n_pixels == 0:
+        sigma = yield from _estimate_psf(sequence, registration, grid, rays, motion)
+    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion)
+    windows = windows_of(grid) if settings.prior_weight is None else []
+    begin, end = (0.2, 0.3) if settings.second_look else (0.2, 0.5)
+    trials = yield from _all_added(data, used, windows, begin, end)
+    if data.equations.n_pixels == 0:
         raise InspectionError(
             "None of the registered frames shows any part of the module: check rows, cols and the "
             "crossing points."
         )
-    guess = first_guess(equations)
-    problem = Problem(equations, settings.prior_weight, _brightness(guess, grid))
-    solver = minimise(problem, guess, settings.max_iterations)
+    start = first_guess(data.equations)
+    if settings.second_look:
+        data, start = yield from _first_look(data, start, settings)
+        trials = yield from _all_added(data, used, windows, 0.42, 0.5)
+    weight, curve = settings.prior_weight, _NO_CURVE
+    if weight is None:
+        weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
+    made = yield from solve(data, start, weight, settings)
+    return replace(made, lambda_curve=curve)
+
+
+def solve(
+    data: Accumulation, start: Image, prior_weight: float, settings: Settings
+) -> Generator[Progress, None, Reconstruction]:
+    """Reconstruct the module from the frames that have entered so far.
+
+    Parameters
+    ----------
+    data : Accumulation
+    start : (height, width) float32
+        Image to start from: of `first_guess`, or what the frames before had given.
+    prior_weight : float
+        lambda.
+    settings : Settings
+        ``prior`` and ``max_iterations`` count here.
+
+    Yields
+    ------
+    Progress
+
+    Returns
+    -------
+    Reconstruction
+    """
+    equations, grid = data.equations, data.equations.model.grid
+    sigma = equations.model.psf_sigma_lr_px
+    problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
+    told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
+    solver = minimise(problem, start, settings.max_iterations)
     while True:
         try:
             state = next(solver)
         except StopIteration as end:
             solution: Solution = end.value
             break
-        share = state.iterations / settings.max_iterations
-        message = f"solving, step {state.iterations} of at most {settings.max_iterations}, {psf}"
-        yield Progress(0.4 + 0.59 * share, message, np.asarray(state.image, np.float32))
+        share = 1 - np.exp(-state.iterations / _TYPICAL_STEPS)
+        now = np.asarray(state.image, np.float32)
+        yield Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
+    image = np.asarray(solution.image, np.float32)
+    yield Progress(0.91, "asking what the frames have earned", image)
+    support = support_of(equations, solution.prior)
+    comparison = data.compare(image)
+    n = max(int(data.registration.used.sum()), 1)
+    k = 0
+    while True:
+        try:
+            next(comparison)
+        except StopIteration as end:
+            consistency, residual_rms = end.value
+            break
+        k += 1
+        yield Progress(0.95 + 0.05 * k / n, "comparing the frames with the result", image)
     return Reconstruction(
-        np.asarray(solution.image, np.float32),
-        _support(equations, solution),
+        image,
+        support,
         grid,
-        settings.prior_weight,
+        prior_weight,
         sigma,
         solution.objective,
         solution.converged,
+        consistency,
+        tuple(float(r) for r in residual_rms),
+        tuple(length_and_angle(m) for m in data.motion),
+        solution.iterations,
+        photometry=data.photometry,
     )
 
 
@@ -191,32 +280,75 @@ def bicubic(
     return out
 
 
-def observed(sequence: Sequence, registration: Registration, frame: int) -> tuple[Image, Image]:
-    """Map a frame to the module's intensities.
+def _all_added(
+    data: Accumulation,
+    frames: NDArray[np.intp],
+    windows: list[HrGrid],
+    begin: float,
+    end: float,
+) -> Generator[Progress, None, list[Trial]]:
+    """Let all frames enter; returns what they show of some windows."""
+    registration, rays = data.registration, data.equations.model.rays
+    views: list[list[View]] = [[] for _ in windows]
+    for k, i in enumerate(frames):
+        g, weights = data.add(int(i))
+        H, motion = registration.homographies[i], data.motion[i]
+        for window, seen in zip(windows, views, strict=True):
+            view = cut_view(registration.camera, H, rays, window, g, weights, motion)
+            if view is not None:
+                seen.append(view)
+        share = begin + (end - begin) * (k + 1) / frames.size
+        yield Progress(share, f"adding frame {k + 1} of {frames.size}")
+    return [Trial(window, tuple(seen)) for window, seen in zip(windows, views, strict=True)]
 
-    Returns
-    -------
-    g : (height, width) float32
-        ``(image - offset) / gain``.
-    weights : (height, width) float32
-        1 / variance of g; 0 for pixels that are not valid.
+
+def _first_look(
+    data: Accumulation, start: Image, settings: Settings
+) -> Generator[Progress, None, tuple[Accumulation, Image]]:
+    """Look at the module once to learn what the sensor does, and begin anew.
+
+    Returns data without a frame as yet, and the image as it is without the vignetting.
     """
-    ready = sequence.frame(frame)
-    gain = float(registration.gain[frame])
-    g = (ready.image - np.float32(registration.offset[frame])) / np.float32(gain)
-    # The variance follows the light, not the pixel's own noise.
-    smooth = cv2.GaussianBlur(ready.image, (0, 0), 1.0)
-    weights = (gain / sequence.noise.sigma(smooth)) ** 2
-    weights[~ready.valid] = 0.0
-    return g.astype(np.float32), weights.astype(np.float32)
+    model, registration = data.equations.model, data.registration
+    weight = settings.prior_weight
+    if weight is None:
+        weight = typical_prior_weight(settings.prior)
+    problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
+    look = start
+    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
+        look = np.asarray(state.image, np.float32)
+        yield Progress(0.3 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
+    steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
+    while True:
+        try:
+            share = next(steps)
+        except StopIteration as end:
+            photometry: Photometry = end.value
+            break
+        yield Progress(0.38 + 0.04 * share, "telling the sensor from the scene")
+    look = look / mean_illumination(photometry, registration, model)
+    return data.again(look, photometry), look
+
+
+def _choose_prior_weight(
+    registration: Registration, trials: list[Trial], sigma: float, prior: PriorName
+) -> Generator[Progress, None, tuple[float, Curve]]:
+    choice = choose_prior_weight(registration.camera, trials, sigma, prior)
+    while True:
+        try:
+            share = next(choice)
+        except StopIteration as end:
+            found: tuple[float, Curve] = end.value
+            return found
+        yield Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels")
 
 
 def _estimate_psf(
     sequence: Sequence,
     registration: Registration,
-    settings: Settings,
     grid: HrGrid,
     rays: SensorRays,
+    motion: NDArray[np.float64],
 ) -> Generator[Progress, None, float]:
     """Estimate the optical sigma on the part of the module with the most detail."""
     used = np.flatnonzero(registration.used)
@@ -231,12 +363,12 @@ def _estimate_psf(
     views = []
     for i in used:
         g, weights = observed(sequence, registration, int(i))
-        view = cut_view(camera, homographies[i], rays, window, g, weights)
+        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i])
         if view is not None:
             views.append(view)
     if not views:
         return _TYPICAL_SIGMA
-    estimate = estimate_psf_sigma(camera, window, views, settings.prior_weight)
+    estimate = estimate_psf_sigma(camera, window, views, _PSF_PRIOR_WEIGHT)
     while True:
         try:
             share = next(estimate)
@@ -246,31 +378,15 @@ def _estimate_psf(
         yield Progress(0.05 + 0.15 * share, "estimating the PSF")
 
 
-def _brightness(image: Image, grid: HrGrid) -> float:
-    """Median intensity of the module; the prior measures contrast against it."""
+def brightness_of(image: Image, grid: HrGrid) -> float:
+    """Median intensity of the module; the prior measures contrast against it.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        The whole module.
+    grid : HrGrid
+    """
     x0, y0 = np.round(grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
     x1, y1 = np.round(grid.to_pixels(np.asarray(grid.layout.size)) + 0.5).astype(int)
     return max(float(np.median(image[y0:y1:2, x0:x1:2])), 1e-6)
-
-
-def _support(equations: NormalEquations, solution: Solution) -> Image:
-    """Share of the data in what holds an HR pixel in its place.
-
-    Notes
-    -----
-    ``d / (d + r)`` with the diagonals d of the data and r of the prior. Samples that lie on a few
-    HR pixels only, as those of frames that did not move, leave the others to the prior: d is
-    therefore scaled by the harmonic over the arithmetic mean of the sampling density over one LR
-    pixel, 1 for even sampling and 0 if there are holes.
-    """
-    density = equations.stencil.diagonal.astype(np.float32)
-    side = max(round(equations.model.grid.magnification), 1)
-    floor = 1e-4 * max(float(density.max()), 1e-30)
-    mean = cv2.blur(density, (side, side))
-    harmonic = 1.0 / cv2.blur(1.0 / (density + floor), (side, side))
-    evenness = np.clip(harmonic / np.maximum(mean, floor), 0.0, 1.0)
-    evenness[mean <= floor] = 0.0
-    data = solution.data_diagonal * evenness
-    total = data + solution.prior_diagonal
-    support = np.divide(data, total, out=np.zeros_like(data), where=total > 0)
-    return np.clip(support, 0.0, 1.0).astype(np.float32)

@@ -31,16 +31,25 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class _Round:
-    """One pass over all frames: blur of both images [LR px], pixel stride, iterations per frame."""
+    """One pass over all frames.
+
+    Blur of both images [LR px], pixel stride, iterations per frame, magnification of the module
+    image.
+    """
 
     blur_lr_px: float
     stride: int
     iterations: int
+    magnification: float
 
 
-ROUNDS = (_Round(2.5, 2, 5), _Round(1.0, 2, 3), _Round(0.0, 2, 3), _Round(0.0, 1, 2))
+ROUNDS = (
+    _Round(2.5, 2, 5, 1.0),
+    _Round(1.0, 2, 3, 1.0),
+    _Round(0.0, 2, 3, 2.0),
+    _Round(0.0, 1, 2, 2.0),
+)
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
-REFERENCE_MAGNIFICATION = 2.0
 STRAIGHTENING_MAGNIFICATION = 3.0
 LEFT_OUT = "left out as the settings say"
 KAPPA_SLACK = 3.0
@@ -152,7 +161,7 @@ def register(
         raise InspectionError(
             f"No frame is left to register ({_first_reason(state.why)}): check rows and cols."
         )
-    grid = HrGrid.covering(state.layout, state.lr_px_per_unit, REFERENCE_MAGNIFICATION, 0.1)
+    lr_px_per_unit = state.lr_px_per_unit
     rays = _rays(state.camera, sequence.shape)
     anchor: Calibration | Registration = calibration
     total = len(ROUNDS) * len(sequence)
@@ -165,6 +174,7 @@ def register(
             if straight is not None:
                 state = anchor = straight
                 rays = _rays(state.camera, sequence.shape)
+        grid = HrGrid.covering(state.layout, lr_px_per_unit, plan.magnification, 0.1)
         reference, covered = module_mean(sequence, state, grid)
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)

@@ -107,7 +107,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
             }
         )
     seconds = inspection.seconds
-    rms = np.asarray(registration.rms, np.float64)[registration.used]
+    rms = np.asarray(reconstruction.residual_rms, np.float64)[registration.used]
     return {
         "title": inspection.sequence.source.resolve().name,
         "source": str(inspection.sequence.source),
@@ -125,6 +125,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "overlay": _overlay(cracks.probability, marks, _MODULE_PX),
         "boxes": _boxes(cracks.cells, grid, picture.shape[1] / grid.shape[1]),
         "picture_size": picture.shape[1::-1],
+        "consistency": _jpeg(_grey(_shrunk(reconstruction.consistency, _SUPPORT_PX), 0.5, 3.0)),
         "support": _jpeg(_grey(_shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
         "frames": _frame_rows(inspection),
         "camera": registration.camera,
@@ -133,6 +134,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
         "prior_weight": reconstruction.prior_weight,
+        "lambda_plot": _lambda_plot(reconstruction.lambda_curve, reconstruction.prior_weight),
         "cracks": cracks,
         "settings": _setting_rows(inspection),
         "seconds": seconds,
@@ -142,10 +144,28 @@ def _content(inspection: Inspection) -> dict[str, Any]:
     }
 
 
+def _lambda_plot(curve: tuple[tuple[float, float], ...], chosen: float) -> dict[str, Any] | None:
+    """Points of the held-out curve in a box of 300 x 110; None if there is no curve."""
+    if len(curve) < 2:
+        return None
+    weights, errors = np.log(np.array(curve)).T
+    span_x, span_y = np.ptp(weights), max(float(np.ptp(errors)), 1e-9)
+    x = 20 + 260 * (weights - weights.min()) / span_x
+    y = 90 - 75 * (errors - errors.min()) / span_y
+    at = 20 + 260 * (np.log(chosen) - weights.min()) / span_x
+    return {
+        "points": " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True)),
+        "chosen": float(np.clip(at, 20, 280)),
+        "low": curve[0][0],
+        "high": curve[-1][0],
+    }
+
+
 def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
-    registration = inspection.registration
+    registration, reconstruction = inspection.registration, inspection.reconstruction
     assert registration is not None
-    rms = np.where(registration.used, registration.rms, np.nan).astype(np.float64)
+    assert reconstruction is not None
+    rms = np.where(registration.used, reconstruction.residual_rms, np.nan).astype(np.float64)
     longest = float(np.nanmax(rms)) if np.isfinite(rms).any() else 1.0
     return [
         {
@@ -156,6 +176,7 @@ def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
             "bar": 100 * float(rms[i]) / longest if np.isfinite(rms[i]) and longest > 0 else 0.0,
             "gain": float(registration.gain[i]),
             "offset": float(registration.offset[i]),
+            "motion": reconstruction.motion[i],
         }
         for i, name in enumerate(inspection.sequence.names)
     ]
@@ -172,6 +193,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "cols": f"{layout.cols}, from module.json",
         "cell_aspect": f"{layout.cell_aspect:g}",
         "dark_frame": "none",
+        "flat_frame": "none",
         "kappa": f"{camera.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",
         "psf_sigma_lr_px": f"{reconstruction.psf_sigma_lr_px:.2f}, estimated",

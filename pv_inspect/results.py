@@ -38,7 +38,14 @@ __all__ = [
     "write_result",
 ]
 
-RESULT_FILES = ("module_hr.tif", "support.tif", "cracks.tif", "cells.csv", "report.html")
+RESULT_FILES = (
+    "module_hr.tif",
+    "support.tif",
+    "consistency.tif",
+    "cracks.tif",
+    "cells.csv",
+    "report.html",
+)
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
 _TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
@@ -81,8 +88,9 @@ class Result:
     Parameters
     ----------
     folder : Path
-    image, support, cracks : (H, W) float32
-        Module image (full scale = 1), support in [0, 1], crack probability in [0, 1].
+    image, support, consistency, cracks : (H, W) float32
+        Module image (full scale = 1), support in [0, 1], residual of the frames in units of the
+        noise, crack probability in [0, 1].
     grid : HrGrid
     camera : Camera
     frames : tuple of FrameResult
@@ -98,6 +106,7 @@ class Result:
     folder: Path
     image: NDArray[np.float32]
     support: NDArray[np.float32]
+    consistency: NDArray[np.float32]
     cracks: NDArray[np.float32]
     grid: HrGrid
     camera: Camera
@@ -177,6 +186,7 @@ def read_result(folder: Path) -> Result:
         made_with = dict(record["versions"])
     image = _read_image(folder / "module_hr.tif")
     support = _read_image(folder / "support.tif", image.shape)
+    consistency = _read_image(folder / "consistency.tif", image.shape)
     probability = _read_image(folder / "cracks.tif", image.shape)
     grid = HrGrid(layout, ppu, (float(x), float(y)), (len(image), image.shape[1]), magnification)
     with _damaged(folder / "cells.csv"):
@@ -185,6 +195,7 @@ def read_result(folder: Path) -> Result:
         folder,
         image,
         support,
+        consistency,
         probability,
         grid,
         camera,
@@ -235,6 +246,8 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
                 "gain": registration.gain[i] if used else None,
                 "offset": registration.offset[i] if used else None,
                 "rms": registration.rms[i] if used else None,
+                "residual": reconstruction.residual_rms[i],
+                "motion_px_deg": reconstruction.motion[i] if used else None,
             }
         )
     seconds = dict(inspection.seconds)
@@ -254,6 +267,12 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "settings": inspection.settings.model_dump(mode="json"),
         "prior_weight": reconstruction.prior_weight,
         "psf_sigma_lr_px": reconstruction.psf_sigma_lr_px,
+        "solver": {
+            "objective": reconstruction.objective,
+            "iterations": reconstruction.iterations,
+            "converged": reconstruction.converged,
+        },
+        "lambda_curve": reconstruction.lambda_curve,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
         "seconds": {**seconds, "total": sum(seconds.values())},
@@ -273,6 +292,8 @@ def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
     grid = reconstruction.grid
     yield "module_hr.tif", _tiff(reconstruction.image, grid, "rectified module, full scale = 1")
     yield "support.tif", _tiff(reconstruction.support, grid, "support by the frames, 0 to 1", True)
+    what = "residual of the frames in units of the noise"
+    yield "consistency.tif", _tiff(reconstruction.consistency, grid, what, True)
     yield "cracks.tif", _tiff(cracks.probability, grid, "crack probability, 0 to 1", True)
     for row, col in np.ndindex(*tiles.images.shape[:2]):
         what = f"cell in row {row + 1}, column {col + 1}, full scale = 1"

@@ -17,6 +17,7 @@ __all__ = [
     "defective_pixels",
     "effective_depth",
     "fill_pixels",
+    "flat_field",
     "temporal_median",
 ]
 
@@ -280,6 +281,59 @@ _NIGHT = 0.015
 _LEAST_NIGHT_ROWS = 32
 _COLUMNS_AROUND = 63
 _PATTERN_CORRELATION = 0.7
+
+
+# Plausible flat frames: share of saturated pixels, share of pixels without light, and the light
+# itself as a share of full scale.
+_MOST_SATURATED = 0.01
+_MOST_UNLIT = 0.02
+_LEAST_LIGHT = 0.05
+# A pixel with less than this share of the typical one sees no light.
+_UNLIT = 0.1
+
+
+def flat_field(
+    flat: NDArray[np.unsignedinteger], black: NDArray[np.float32], full_scale: float
+) -> Image:
+    """Turn an image of an evenly bright surface into the relative response of every pixel.
+
+    Parameters
+    ----------
+    flat : (height, width) uint8 or uint16, DN
+    black : (width,) or (height, width) float32
+        What a pixel says without light, DN.
+    full_scale : float
+        DN at saturation.
+
+    Returns
+    -------
+    (height, width) float32
+        About 1: divided by the median of the bright pixels, those above half of the 99th
+        percentile. 0 for single pixels without light.
+
+    Raises
+    ------
+    ValueError
+        With half a sentence that says why this is no flat frame.
+    """
+    light = flat.astype(np.float32) - black
+    saturated = float((flat >= full_scale).mean())
+    if saturated > _MOST_SATURATED:
+        raise ValueError(f"has {100 * saturated:.0f} % saturated pixels")
+    high = float(np.percentile(light, 99.0))
+    bright = float(np.median(light[light >= min(0.5 * high, high)]))
+    if not bright > _LEAST_LIGHT * full_scale:
+        raise ValueError(
+            f"is too dark ({bright:.0f} DN above black, at least "
+            f"{_LEAST_LIGHT * full_scale:.0f} DN is needed)"
+        )
+    response = light / np.float32(bright)
+    unlit = response < _UNLIT
+    share = float(unlit.mean())
+    if share > _MOST_UNLIT:
+        raise ValueError(f"is dark in {100 * share:.0f} % of its pixels")
+    response[unlit] = 0.0
+    return response
 
 
 def fill_pixels(image: Image, bad: Mask, valid: Mask) -> Image:

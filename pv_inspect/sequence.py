@@ -22,6 +22,7 @@ from pv_inspect.sensor import (
     defective_pixels,
     effective_depth,
     fill_pixels,
+    flat_field,
     temporal_median,
 )
 from pv_inspect.settings import Settings
@@ -46,8 +47,9 @@ class Frame:
     Parameters
     ----------
     image : (height, width) float32
-        Black-subtracted intensity, full scale = 1; defective pixels are filled from their
-        neighbours. Saturated areas keep what the camera said. Read-only.
+        Black-subtracted intensity, full scale = 1, divided by the flat field if there is one;
+        defective pixels are filled from their neighbours. Saturated areas keep what the camera
+        said. Read-only.
     valid : (height, width) bool
         False: saturated, hot or dead. Read-only.
     """
@@ -124,10 +126,15 @@ class Sequence:
     # (width,) or, out of a dark frame, (height, width); DN.
     _black: NDArray[np.float32] = field(repr=False)
     _cache: _FrameCache = field(repr=False)
+    # (height, width) relative response out of a flat frame, 0 where there is none.
+    _flat: NDArray[np.float32] | None = field(default=None, repr=False)
 
     @classmethod
     def open(
-        cls, source: Path | str | Iterable[Path | str], dark_frame: Path | str | None = None
+        cls,
+        source: Path | str | Iterable[Path | str],
+        dark_frame: Path | str | None = None,
+        flat_frame: Path | str | None = None,
     ) -> Sequence:
         """Open frames and check all of them.
 
@@ -139,6 +146,8 @@ class Sequence:
             order (frame_2 before frame_10), a list in its own.
         dark_frame : path, optional
             Image taken without current with the same camera and exposure.
+        flat_frame : path, optional
+            Image of an evenly bright surface taken with the same camera and lens.
 
         Raises
         ------
@@ -158,7 +167,7 @@ class Sequence:
         dtype = read_frame(files[0]).dtype
         dark = None
         if dark_frame is not None:
-            dark = _read_dark(Path(dark_frame), shape, dtype)
+            dark = _read_reference(Path(dark_frame), "dark", shape, dtype)
             maximum = max(maximum, int(dark.max()))
             used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
@@ -180,8 +189,20 @@ class Sequence:
                 )
             defects |= defective_pixels(dark[None], full_scale)
         defects.flags.writeable = False
+        flat = None
+        if flat_frame is not None:
+            exposed = _read_reference(Path(flat_frame), "flat", shape, dtype)
+            try:
+                flat = flat_field(exposed, black, full_scale)
+            except ValueError as error:
+                raise InspectionError(
+                    f"The flat frame {flat_frame} {error}: take an evenly bright surface that "
+                    "fills the image, well exposed but not saturated."
+                ) from None
+            defects = defects | (flat == 0.0)
+            defects.flags.writeable = False
         frames = [
-            _prepare(raw, black, level, full_scale, defects)
+            _prepare(raw, black, level, full_scale, defects, flat)
             for raw in stack[:: max(1, len(stack) // 8)]
         ]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
@@ -199,6 +220,7 @@ class Sequence:
             files,
             black,
             _FrameCache(capacity),
+            flat,
         )
 
     def __len__(self) -> int:
@@ -222,7 +244,12 @@ class Sequence:
         frame = self._cache.get(index)
         if frame is None:
             frame = _prepare(
-                self.raw(index), self._black, self.black_level, self.full_scale, self.defects
+                self.raw(index),
+                self._black,
+                self.black_level,
+                self.full_scale,
+                self.defects,
+                self._flat,
             )
             self._cache.put(index, frame)
         return frame
@@ -272,8 +299,11 @@ def _prepare(
     level: float,
     full_scale: float,
     defects: NDArray[np.bool_],
+    flat: NDArray[np.float32] | None,
 ) -> Frame:
     image = (raw.astype(np.float32) - black) / np.float32(full_scale - level)
+    if flat is not None:
+        np.divide(image, flat, out=image, where=flat > 0.0)
     valid = (raw < full_scale) & ~defects
     image = fill_pixels(image, defects, valid)
     image.flags.writeable = False
@@ -375,12 +405,13 @@ def _check(
     return shape, maximum, used_bits
 
 
-def _read_dark(path: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Raw:
+def _read_reference(path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any]) -> Raw:
+    """Read a dark or flat frame, the median of its pages."""
     pages = [read_frame(file) for file in expand(_existing_image(path))]
     for page in pages:
         if page.shape != shape or page.dtype != dtype:
             raise InspectionError(
-                f"The dark frame {path} is {page.shape[1]} x {page.shape[0]} with "
+                f"The {kind} frame {path} is {page.shape[1]} x {page.shape[0]} with "
                 f"{8 * page.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
                 f"{8 * dtype.itemsize}: take it with the same camera settings."
             )

@@ -75,12 +75,26 @@ class Settings(BaseModel):
         ge=0.1,
         le=10,
     )
+    module_at: tuple[Finite, Finite] | None = _tunable(
+        None,
+        Stage.DETECT,
+        "LR px",
+        "x and y of a point inside of the wanted module in the first frame; the completely "
+        "visible module nearest to the centre if not given.",
+    )
     dark_frame: Path | None = _tunable(
         None,
         Stage.LOAD,
         "file",
         "Image taken without current, subtracted from every frame "
         "instead of the estimated black level.",
+    )
+    flat_frame: Path | None = _tunable(
+        None,
+        Stage.LOAD,
+        "file",
+        "Image of an evenly bright surface through the same lens at the same aperture: every frame "
+        "is divided by it.",
     )
     kappa: Finite | None = _tunable(
         None,
@@ -130,11 +144,19 @@ class Settings(BaseModel):
         ge=1,
         le=6,
     )
-    prior_weight: Finite = _tunable(
-        0.7,
+    prior: Literal["wbtv", "btv", "tikhonov"] = _tunable(
+        "wbtv",
+        Stage.RECONSTRUCT,
+        "1",
+        "Prior of Eq. 7: weighted bilateral total variation of curvature, plain bilateral total "
+        "variation, or squared differences (Tikhonov).",
+    )
+    prior_weight: Finite | None = _tunable(
+        None,
         Stage.RECONSTRUCT,
         "noise units",
-        "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units.",
+        "lambda of Eq. 7: weight of the prior against the mean squared residual in noise units; "
+        "found from held-out pixels if not given.",
         ge=0,
         le=1e3,
     )
@@ -147,11 +169,25 @@ class Settings(BaseModel):
         ge=0.1,
         le=3,
     )
-    max_iterations: int = _tunable(
-        60,
+    motion_blur: Literal["auto", "none"] = _tunable(
+        "auto",
         Stage.RECONSTRUCT,
         "1",
-        "Upper limit of solver iterations of the reconstruction.",
+        "auto: straight motion during the exposure is estimated for every frame and undone; "
+        "none: the frames are taken as still.",
+    )
+    second_look: bool = _tunable(
+        True,
+        Stage.RECONSTRUCT,
+        "1",
+        "Look at the frames twice: against a first module image the sensor's fixed pattern and "
+        "vignetting are found and taken out, and pixels that contradict it count for less.",
+    )
+    max_iterations: int = _tunable(
+        200,
+        Stage.RECONSTRUCT,
+        "1",
+        "Upper limit of solver iterations of the reconstruction; it ends when it has converged.",
         ge=1,
         le=1000,
     )
@@ -221,7 +257,7 @@ class Settings(BaseModel):
         lines = []
         for name, value in self.model_dump(mode="json", exclude_none=True).items():
             # JSON strings and lists of them are TOML as well.
-            text = json.dumps(value) if isinstance(value, str | list) else repr(value)
+            text = json.dumps(value) if isinstance(value, str | list | bool) else repr(value)
             lines.append(f"{name} = {text}")
         return "\n".join(lines) + "\n"
 

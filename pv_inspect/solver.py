@@ -11,24 +11,18 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from pv_inspect.observation import NormalEquations
-from pv_inspect.prior import WeightedBtv
+from pv_inspect.prior import Prior, PriorName, prior_named
 from pv_inspect.stencil import Stencil, dot
 
 __all__ = ["Problem", "Solution", "first_guess", "minimise"]
 
 Image = NDArray[np.floating]
 
-# Inner iterations on one majoriser: fewer waste majorisers, more solve a problem of yesterday.
-_INNER_ITERATIONS = 10
-# The threshold of the prior follows the image in the first rounds only: the objective is then a
-# fixed one that every later round lowers.
-_ADAPTIVE_ROUNDS = 2
+# Steps on one majoriser: fewer waste majorisers, more solve a problem of yesterday. The first ones
+# are far off anyway.
+_INNER_ITERATIONS = (4, 8, 12)
 # The prior measures differences in this share of the module's brightness.
 _CONTRAST = 0.02
-# Differences up to this many such units are penalised by their square. A sharper corner of the L1
-# norm makes patches of the noise: the image then peaks after some 20 steps and gets worse towards
-# the minimiser, by up to 5 dB at 1/10 of this value.
-_PRIOR_SMOOTHING = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +37,8 @@ class Problem:
         lambda.
     brightness : float
         Typical intensity of the module, full-scale units.
+    prior_name : {"wbtv", "btv", "tikhonov"}
+        R.
 
     Notes
     -----
@@ -50,22 +46,23 @@ class Problem:
     pixels, their noise variances V, the magnification s and c = 2 % of the brightness. The data
     term is a mean in units of the noise, about 1 at the truth. R sums over HR pixels, whose
     number over M falls as frames are added: a frame weighs the same, and with it lambda, for 5
-    frames or 50. s^-1 makes the total variation of a scene the same on every grid.
+    frames or 50. s^-1 makes what an edge costs the same on every grid.
     """
 
     equations: NormalEquations
     prior_weight: float
     brightness: float
+    prior_name: PriorName = "wbtv"
+
+    @property
+    def prior(self) -> Prior:
+        """R(f / c) with c in full-scale units."""
+        return prior_named(self.prior_name, _CONTRAST * self.brightness)
 
     @property
     def prior_factor(self) -> float:
-        """Factor of R(f) in the objective times M, for a prior in intensity units."""
-        return self.prior_weight / (self.equations.model.grid.magnification * self.contrast)
-
-    @property
-    def contrast(self) -> float:
-        """Unit that the prior measures differences in, full-scale units."""
-        return _CONTRAST * self.brightness
+        """Factor of R in the objective times M."""
+        return self.prior_weight / self.equations.model.grid.magnification
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +72,8 @@ class Solution:
     Parameters
     ----------
     image : (height, width) float32
-    data_diagonal, prior_diagonal : (height, width) float32
-        Diagonals of the two terms' quadratics.
+    prior : Stencil
+        The last quadratic majoriser of the prior, on the scale of the equations.
     objective : tuple of float
         E after every majoriser.
     iterations : int
@@ -85,8 +82,7 @@ class Solution:
     """
 
     image: Image
-    data_diagonal: Image
-    prior_diagonal: Image
+    prior: Stencil
     objective: tuple[float, ...]
     iterations: int
     converged: bool
@@ -109,7 +105,7 @@ def first_guess(equations: NormalEquations) -> Image:
 
 
 def minimise(
-    problem: Problem, start: Image, max_iterations: int, tolerance: float = 1e-3
+    problem: Problem, start: Image, max_iterations: int, tolerance: float = 7e-4
 ) -> Generator[Solution, None, Solution]:
     """Minimise E from a start image; yields after every conjugate gradient step.
 
@@ -120,36 +116,40 @@ def minimise(
     max_iterations : int
         Limit of conjugate gradient steps in all.
     tolerance : float
-        Converged when a whole round changes the image by less than this, rms, as a share of the
-        brightness.
+        Converged when a whole round lowers E by less than this share of it and changes the image
+        by less than three times this share of the brightness, rms. The default ends within about
+        0.1 dB of what ten times the steps give.
 
     Yields
     ------
     Solution
         The current state; its arrays are views that go on changing.
+
+    Notes
+    -----
+    R is majorised by a quadratic and the sum minimised by preconditioned conjugate gradients from
+    where the last round ended: E falls from round to round.
     """
-    equations = problem.equations
+    equations, prior = problem.equations, problem.prior
     f = start.copy()
     b = equations.right_hand_side
     residual = b - equations.apply(f)
     diagonal = equations.diagonal
     floor = 1e-6 * float(diagonal.max()) + np.finfo(np.float32).tiny
     m = max(equations.n_pixels, 1)
-    prior = WeightedBtv(threshold=problem.brightness, smoothing=_PRIOR_SMOOTHING * problem.contrast)
     laplacian = Stencil.zeros((f.shape[0], f.shape[1]), f.dtype.type)
     objective: list[float] = []
     iterations, rounds, converged = 0, 0, False
     r, p = np.empty_like(f), np.empty_like(f)
     while not converged and iterations < max_iterations:
-        if rounds < _ADAPTIVE_ROUNDS:
-            prior = prior.adapted_to(f)
         prior.majoriser(f, problem.prior_factor / 2.0, laplacian)
         before = f.copy()
         scale = 1.0 / (diagonal + laplacian.diagonal + floor)
         np.subtract(residual, laplacian.apply(f), out=r)
         np.multiply(scale, r, out=p)
         rz = first = dot(r, p)
-        for _ in range(min(_INNER_ITERATIONS, max_iterations - iterations)):
+        inner = _INNER_ITERATIONS[min(rounds, len(_INNER_ITERATIONS) - 1)]
+        for _ in range(min(inner, max_iterations - iterations)):
             if rz <= 0.0:
                 break
             data = equations.apply(p)
@@ -162,7 +162,7 @@ def minimise(
             _turn(new / rz, p, r, scale)
             rz = new
             iterations += 1
-            yield Solution(f, diagonal, laplacian.diagonal, tuple(objective), iterations, False)
+            yield Solution(f, laplacian, tuple(objective), iterations, False)
             if rz < 1e-4 * first:
                 break
         rounds += 1
@@ -170,8 +170,9 @@ def minimise(
         objective.append(misfit + problem.prior_factor * prior.objective(f) / m)
         np.subtract(f, before, out=before)
         change = np.sqrt(dot(before, before) / f.size) / problem.brightness
-        converged = rounds > _ADAPTIVE_ROUNDS and change < tolerance
-    return Solution(f, diagonal, laplacian.diagonal, tuple(objective), iterations, converged)
+        fall = objective[-2] - objective[-1] if rounds > 1 else np.inf
+        converged = bool(change < 3.0 * tolerance and fall < tolerance * objective[-1])
+    return Solution(f, laplacian, tuple(objective), iterations, converged)
 
 
 def _step(

@@ -82,7 +82,19 @@ def made_reconstruction() -> Reconstruction:
     y, x = grid.cell_slices(0, 1)
     cv2.line(image, (x.start + 10, y.start + 10), (x.start + 70, y.start + 50), 0.1, 2)
     support = np.linspace(0, 1, image.size, dtype=np.float32).reshape(image.shape)
-    return Reconstruction(image, support, grid, 0.05, 0.4, (2.0, 1.0), True)
+    return Reconstruction(
+        image,
+        support,
+        grid,
+        0.05,
+        0.4,
+        (2.0, 1.0),
+        True,
+        np.ones_like(image),
+        (1.0, float("nan"), 1.2),
+        ((0.0, 0.0),) * 3,
+        12,
+    )
 
 
 def made_inspection(**changes: Any) -> Inspection:

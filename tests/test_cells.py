@@ -12,7 +12,7 @@ def reconstruction(aspect: float) -> Reconstruction:
     grid = HrGrid.covering(ModuleLayout(3, 4, aspect), 15.0, 4.0)
     rng = np.random.default_rng(0)
     image = rng.random(grid.shape, dtype=np.float32)
-    return Reconstruction(image, image, grid, 0.05, 0.4, (), True)
+    return Reconstruction(image, image, grid, 0.05, 0.4, (), True, image, (), (), 0)
 
 
 @pytest.mark.parametrize("aspect", [1.0, 2.0, 0.5])

@@ -97,7 +97,7 @@ def test_every_setting_has_an_option_with_its_unit() -> None:
         described = Settings.model_fields[name].description or ""
         assert described.split(";")[0].split(":")[0][:30] in text
     assert "[0.1 to 3 LR px]" in text
-    assert "default 0.7]" in text
+    assert "default 200]" in text
 
 
 def test_version_and_help_answer() -> None:

@@ -1,14 +1,17 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.detection import Crossings, FrameCrossings, detect
+from pv_inspect.detection import Crossings, FrameCrossings, _side_shifts, detect
+from pv_inspect.edges import EdgeOffsets, cell_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.sequence import Sequence
@@ -128,6 +131,85 @@ def test_a_picture_without_a_module_is_refused() -> None:
     picture[40:140, 50:170] += 0.3
     with pytest.raises(InspectionError, match="No frame shows a module"):
         _finish(detect(_in_memory([picture]), ModuleLayout(4, 6)))
+
+
+def _side_by_side(simulation: SimulatedSequence, frames: int = 1) -> list[np.ndarray]:
+    """Two modules at the same distance from the centre, the right one with another cell dark."""
+    pictures = _floats(simulation)[:frames]
+    return [np.hstack([one, one[:, ::-1][::-1]]) for one in pictures]
+
+
+def test_two_modules_of_equal_standing_are_both_named(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    frames = _in_memory(_side_by_side(small_sequence[0]))
+    with pytest.raises(InspectionError, match=r"two modules .* and .*--module-at") as refused:
+        _finish(detect(frames, ModuleLayout(4, 6)))
+    width = frames.shape[1]
+    named = [float(x) for x in re.findall(r"\((\d+), \d+\)", str(refused.value))]
+    assert min(named) < width / 2 < max(named)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_point_in_the_first_frame_chooses_the_module(
+    small_sequence: tuple[SimulatedSequence, Path], side: int
+) -> None:
+    frames = _in_memory(_side_by_side(small_sequence[0], 2))
+    half = frames.shape[1] / 2
+    point = ((side + 0.5) * half, frames.shape[0] / 2)
+    crossings = _finish(detect(frames, ModuleLayout(4, 6), point))
+    for frame in crossings.frames:
+        assert np.all((frame.points_px[:, 0] > half) == (side == 1))
+
+
+def test_a_point_beside_every_module_is_refused(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    frames = _in_memory(_floats(small_sequence[0])[:1])
+    with pytest.raises(InspectionError, match=r"no module of 4 rows .* at \(1, 2\) px; the"):
+        _finish(detect(frames, ModuleLayout(4, 6), (1.0, 2.0)))
+
+
+def test_frames_that_all_cut_the_module_are_one_sentence_of_their_own(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    frames = [frame[:, 100:] for frame in _floats(small_sequence[0])[:3]]
+    with pytest.raises(InspectionError, match=r"in all 3 .* must show the whole module"):
+        _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+
+
+def test_a_bright_picture_without_a_module_is_not_told_that_it_cuts_one() -> None:
+    rows, cols = np.mgrid[0:200, 0:260]
+    picture = (0.2 + 0.002 * cols + 0.1 * np.sin(rows / 17)).astype(np.float32)
+    with pytest.raises(InspectionError, match="No frame shows a module") as refused:
+        _finish(detect(_in_memory([picture]), ModuleLayout(4, 6)))
+    assert "cuts" not in str(refused.value)
+
+
+def test_dead_cells_in_a_corner_do_not_hide_the_module(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    simulation, _ = small_sequence
+    frame = _floats(simulation)[0]
+    corner = simulation.crossings_px(0).reshape(5, 7, 2)[:3, 5:][[0, 0, -1, -1], [0, -1, -1, 0]]
+    cv2.fillConvexPoly(frame, np.round(corner).astype(np.int32), 0.02)
+    crossings = _finish(detect(_in_memory([frame]), ModuleLayout(4, 6)))
+    assert crossings.frames[0].why == ""
+    assert _rmse(crossings, simulation, 0) < 0.5
+
+
+def test_outer_edges_that_are_not_seen_follow_their_side() -> None:
+    layout = ModuleLayout(4, 6)
+    edges = cell_edges(layout)
+    found = np.ones(len(edges.inner), bool)
+    right = ~edges.inner & (edges.normal[:, 0] == 1) & (edges.side == -1)
+    found[np.flatnonzero(right)[0]] = False
+    offsets = EdgeOffsets(
+        np.where(right, 0.05, 0.0), np.full(len(found), 0.01), found, np.ones_like(found)
+    )
+    shifts = _side_shifts(layout, edges, offsets, found).reshape(5, 7, 2)
+    np.testing.assert_allclose(shifts[:, -1, 0], 0.05)
+    np.testing.assert_allclose(shifts[:, :-1], 0)
 
 
 def test_the_order_of_the_frames_does_not_matter(

@@ -3,7 +3,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.edges import cell_edges, measure_edges
+from pv_inspect.edges import (
+    GapShape,
+    _robust_means,
+    cell_edges,
+    measure_edges,
+    measure_gaps_robustly,
+)
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Pose, conventional_camera
 
@@ -70,3 +76,28 @@ def test_the_offsets_do_not_depend_on_the_intensity_scale(scale: float) -> None:
     one = measure_edges(image, edges, _pose((0.4, 0.2)), 0.1)
     other = measure_edges(image * np.float32(scale), edges, _pose((0.4, 0.2)), 0.1)
     np.testing.assert_allclose(one.offset, other.offset, atol=1e-4)
+
+
+def test_a_gap_between_unevenly_dark_margins_counts_less_than_a_clean_one() -> None:
+    image = _module(np.full((3, 4), 0.6))
+    # The margin of the cells to the right of the first gap fades over a pixel and a half.
+    image[20:140, 61:63] *= 0.6
+    edges = cell_edges(LAYOUT)
+    shape = GapShape(0.6, 1.3, 1.75)
+    offsets = measure_gaps_robustly(image, edges, _pose(), 0.05, shape)
+    assert offsets.found[edges.inner].all()
+    assert not offsets.found[~edges.inner].any()
+    spoilt = edges.middle[:, 0] == 1
+    spoilt &= edges.normal[:, 0] == 1
+    clean = edges.inner & ~spoilt
+    assert np.abs(offsets.offset[spoilt]).min() > 5 * np.abs(offsets.offset[clean]).max()
+    assert offsets.sigma[spoilt].min() > 1.5 * offsets.sigma[clean].max()
+
+
+def test_the_robust_mean_leaves_out_what_is_spoilt_or_unknown() -> None:
+    values = np.array([[0.1, 0.12, 0.11, 3.0, np.nan], [1.0, 1.0, 1.0, 1.0, 1.0]])
+    sigma = np.full(values.shape, 0.05)
+    sigma[1, 4] = np.inf
+    mean, deviation = _robust_means(values, sigma)
+    np.testing.assert_allclose(mean, [0.11, 1.0], atol=0.01)
+    np.testing.assert_allclose(deviation, 0.05 / np.sqrt(0.8))

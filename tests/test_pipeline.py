@@ -241,7 +241,7 @@ def test_an_unknown_layout_is_guessed_once_and_the_result_says_so(
 ) -> None:
     asked: list[Settings] = []
 
-    def guess(sequence: Any, settings: Settings) -> LayoutGuess:
+    def guess(sequence: Any, settings: Settings, inside: Any) -> LayoutGuess:
         asked.append(settings)
         return LayoutGuess(made_crossings().layout, 0.9, ())
 

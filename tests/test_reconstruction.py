@@ -2,101 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.psf_estimation import View, estimate_psf_sigma
 from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration import Registration
-from pv_inspect.sequence import Frame, NoiseModel
-from pv_inspect.settings import Settings
+from pv_inspect.sequence import NoiseModel
 from pv_inspect.solver import Problem, first_guess, minimise
-
-T = TypeVar("T")
-
-SHAPE = (64, 88)
-CAMERA = Camera(np.array([[200.0, 0, 43.5], [0, 200.0, 31.5], [0, 0, 1]]), -0.1)
-LAYOUT = ModuleLayout(2, 3)
-SIGMA, NOISE = 0.45, 0.004
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """What of a Sequence the reconstruction asks for."""
-
-    images: tuple[np.ndarray, ...]
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(NOISE**2, 0.0))
-    shape: tuple[int, int] = SHAPE
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def frame(self, index: int) -> Frame:
-        return Frame(self.images[index], np.ones(self.shape, bool))
+from tests.recording import (
+    CAMERA,
+    LAYOUT,
+    NOISE,
+    SHAPE,
+    SIGMA,
+    Frames,
+    drain,
+    recording,
+    settings_with,
+)
 
 
-def scene_on(grid: HrGrid) -> np.ndarray:
-    """Bright cells with a pattern and dark gaps, softened to what the grid can carry."""
-    y, x = np.mgrid[: grid.shape[0], : grid.shape[1]].astype(np.float64)
-    at = grid.to_module(np.stack([x, y], axis=-1))
-    gap = np.minimum(np.abs(at - np.round(at)).min(-1), 0.5) < 0.03
-    inside = ((at > 0) & (at < [3.0, 2.0])).all(-1)
-    values = 0.5 + 0.08 * np.sin(12 * at[..., 0] + 5 * at[..., 1])
-    return cv2.GaussianBlur(np.where(inside & ~gap, values, 0.05), (0, 0), 0.8)
-
-
-def recording(
-    n: int, moving: bool = True, magnification: float = 3.0
-) -> tuple[Any, Registration, np.ndarray]:
-    """Frames made by W itself with known noise, gains and offsets; and their scene."""
-    rng = np.random.default_rng(11)
-    shifts = rng.uniform(-0.05, 0.05, (n, 2)) * moving
-    homographies = np.array(
-        [[[1.0, 0.04, -1.5 + a], [-0.04, 1.0, -1.0 + b], [0.02, 0.03, 8.0]] for a, b in shifts]
-    )
-    gain, offset = rng.uniform(0.9, 1.1, n), rng.uniform(-0.01, 0.01, n)
-    registration = Registration(
-        LAYOUT,
-        CAMERA,
-        homographies,
-        np.ones(n, bool),
-        ("",) * n,
-        gain,
-        offset,
-        np.ones(n),
-    )
-    grid = HrGrid.covering(LAYOUT, registration.lr_px_per_unit, magnification)
-    scene = scene_on(grid)
-    model = ObservationModel.build(SensorRays.of(CAMERA, SHAPE), CAMERA, homographies, grid, SIGMA)
-    images = []
-    for H, a, b in zip(homographies, gain, offset, strict=True):
-        clean = a * model.frame(H).forward(scene) + b
-        images.append((clean + rng.normal(0, NOISE, SHAPE)).astype(np.float32))
-    return Frames(tuple(images)), registration, scene
-
-
-def settings_with(**values: Any) -> Settings:
-    return Settings.create(
-        **{"magnification": 3.0, "psf_sigma_lr_px": SIGMA, "prior_weight": 0.5, **values}
-    )
-
-
-def drain(work: Generator[Any, None, T]) -> T:
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            result: T = end.value
-            return result
+def equations_of(sequence: Any, registration: Registration, model: Any) -> NormalEquations:
+    equations = NormalEquations.empty(model)
+    for H, image, a, b in zip(
+        registration.homographies,
+        sequence.images,
+        registration.gain,
+        registration.offset,
+        strict=True,
+    ):
+        weights = np.full(SHAPE, (a / NOISE) ** 2, np.float32)
+        equations.add(H, ((image - b) / a).astype(np.float32), weights)
+    return equations
 
 
 def rms_inside(image: np.ndarray, scene: np.ndarray, grid: HrGrid) -> float:
@@ -143,13 +88,37 @@ def test_bicubic_shows_the_same_place_and_brightness(
     assert shown[inner].mean() == pytest.approx(scene[inner].mean(), rel=0.01)
 
 
-def test_objective_falls_once_the_prior_is_fixed() -> None:
+@pytest.mark.parametrize("prior", ["wbtv", "btv", "tikhonov"])
+def test_objective_falls_from_round_to_round(prior: str) -> None:
     sequence, registration, _ = recording(6)
-    result = drain(reconstruct(sequence, registration, settings_with(max_iterations=80)))
+    weight = {"wbtv": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
+    settings = settings_with(max_iterations=600, prior=prior, prior_weight=weight)
+    result = drain(reconstruct(sequence, registration, settings))
     objective = np.array(result.objective)
-    assert len(objective) > 3
-    assert (np.diff(objective[2:]) <= 1e-5 * objective[2]).all()
+    assert len(objective) > 2
+    assert (np.diff(objective) <= 1e-5 * objective[0]).all()
     assert 0.5 < objective[-1] < 2.5
+    assert result.converged
+    assert 0 < result.iterations < 600
+    assert result.lambda_curve == ()
+
+
+def test_stopping_rule_is_right_against_ten_times_the_steps(
+    made: tuple[Any, Registration, np.ndarray, Reconstruction],
+) -> None:
+    sequence, registration, scene, result = made
+    weight = settings_with().prior_weight
+    assert weight is not None
+    model = ObservationModel.build(
+        SensorRays.of(CAMERA, SHAPE), CAMERA, registration.homographies, result.grid, SIGMA
+    )
+    equations = equations_of(sequence, registration, model)
+    problem = Problem(equations, weight, 0.5)
+    short = drain(minimise(problem, first_guess(equations), 1000))
+    long = drain(minimise(problem, first_guess(equations), 10 * short.iterations, 0.0))
+    assert short.converged
+    rms = [rms_inside(s.image, scene, result.grid) for s in (short, long)]
+    assert abs(20 * np.log10(rms[0] / rms[1])) < 0.1
 
 
 def test_support_is_high_where_frames_are_and_zero_where_none_is(
@@ -158,9 +127,9 @@ def test_support_is_high_where_frames_are_and_zero_where_none_is(
     _, _, _, result = made
     assert result.support.min() >= 0
     assert result.support.max() <= 1
-    assert result.support[0, 0] == 0
+    assert result.support[0, 0] < 0.02
     h, w = result.support.shape
-    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.3
+    assert np.median(result.support[h // 3 : -h // 3, w // 3 : -w // 3]) > 0.25
 
 
 def test_frames_that_did_not_move_claim_no_support(
@@ -168,8 +137,11 @@ def test_frames_that_did_not_move_claim_no_support(
 ) -> None:
     still, registration, _ = recording(16, moving=False)
     result = drain(reconstruct(still, registration, settings_with(max_iterations=20)))
-    moving = made[3].support
-    assert np.median(result.support) < 0.2 * np.median(moving)
+    h, w = result.support.shape
+    inner = np.s_[h // 3 : -h // 3, w // 3 : -w // 3]
+    # One sample per LR pixel is not nothing: it says a tenth of what lies beyond its own limit.
+    assert np.median(result.support[inner]) < 0.13
+    assert np.median(result.support[inner]) < 0.4 * np.median(made[3].support[inner])
 
 
 @pytest.mark.parametrize("magnification", [1.0, 2.5, 6.0])
@@ -214,7 +186,7 @@ def test_progress_rises_and_shows_the_image_and_closing_cancels() -> None:
     assert fractions[0] > 0
     assert fractions[-1] <= 1
     assert any(step.image is not None for step in seen)
-    assert "sigma 0.45" in seen[-1].message
+    assert any("sigma 0.45" in step.message for step in seen)
     work = reconstruct(sequence, registration, settings_with())
     next(work)
     work.close()
@@ -254,7 +226,7 @@ def test_psf_width_is_found_from_held_out_pixels() -> None:
             strict=True,
         )
     ]
-    assert drain(estimate_psf_sigma(CAMERA, grid, views, 0.5)) == pytest.approx(SIGMA, rel=0.2)
+    assert drain(estimate_psf_sigma(CAMERA, grid, views, 0.07)) == pytest.approx(SIGMA, rel=0.2)
 
 
 def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:

@@ -121,3 +121,14 @@ def test_the_page_of_a_large_noisy_module_stays_below_5_megabytes() -> None:
 def test_an_incomplete_inspection_has_no_report() -> None:
     with pytest.raises(InspectionError, match="not complete"):
         render_report(made_inspection(registration=None))
+
+
+def test_the_curve_of_lambda_is_drawn_where_lambda_was_chosen() -> None:
+    inspection = made_inspection()
+    assert inspection.reconstruction is not None
+    assert "chosen automatically" not in render_report(inspection)
+    curve = ((0.1, 1.2), (0.5, 1.0), (2.0, 1.3))
+    chosen = replace(inspection.reconstruction, lambda_curve=curve, prior_weight=0.5)
+    page = render_report(replace(inspection, reconstruction=chosen))
+    assert "chosen automatically" in page
+    assert page.count("<polyline") == 1

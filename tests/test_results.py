@@ -30,7 +30,7 @@ def test_the_folder_holds_what_the_contract_says(tmp_path: Path) -> None:
     write_result(inspection, tmp_path / "out")
     names = {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*")}
     tiles = {f"cells/{tile_name(i, j)}" for i in range(2) for j in range(3)}
-    images = {"module_hr.tif", "support.tif", "cracks.tif"}
+    images = {"module_hr.tif", "support.tif", "consistency.tif", "cracks.tif"}
     assert names == images | tiles | {"result.json", "cells.csv", "cells", "report.html"}
     assert tile_name(0, 9) == "r01_c10.tif"
     record = strict(tmp_path / "out" / "result.json")
@@ -61,6 +61,7 @@ def test_images_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert inspection.cracks is not None
     np.testing.assert_array_equal(result.image, inspection.reconstruction.image)
     np.testing.assert_array_equal(result.support, inspection.reconstruction.support)
+    np.testing.assert_array_equal(result.consistency, inspection.reconstruction.consistency)
     np.testing.assert_array_equal(result.cracks, inspection.cracks.probability)
     assert result.grid == inspection.reconstruction.grid
     assert result.settings == inspection.settings

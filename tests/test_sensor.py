@@ -13,6 +13,7 @@ from pv_inspect.sensor import (
     defective_pixels,
     effective_depth,
     fill_pixels,
+    flat_field,
     temporal_median,
 )
 
@@ -209,3 +210,35 @@ def test_a_pixel_without_valid_neighbours_keeps_its_value() -> None:
     bad[10, 10] = True
     filled = fill_pixels(image, bad, np.zeros(image.shape, bool))
     np.testing.assert_array_equal(filled, image)
+
+
+# -- flat field -----------------------------------------------------------------------------
+
+
+def test_a_flat_field_is_the_response_over_its_bright_median() -> None:
+    x = np.linspace(-1.0, 1.0, SHAPE[1])
+    response = np.broadcast_to(1.0 - 0.3 * x**2, SHAPE)
+    black = np.full(SHAPE[1], 64.0, np.float32)
+    flat = np.rint(64.0 + 2000.0 * response).astype(np.uint16)
+    flat[7, 9] = 64
+    found = flat_field(flat, black, FULL_SCALE)
+    assert found[7, 9] == 0.0
+    assert np.median(found) == pytest.approx(1.0, abs=5e-3)
+    seen = found > 0
+    np.testing.assert_allclose(found[seen] / found.max(), response[seen], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("level", "dark_share", "why"),
+    [
+        (0.0, 0.0, "is too dark"),
+        (150.0, 0.0, "is too dark"),
+        (4095.0, 0.0, "100 % saturated"),
+        (2000.0, 0.1, "is dark in 10 % of its pixels"),
+    ],
+)
+def test_what_is_no_flat_field_is_refused(level: float, dark_share: float, why: str) -> None:
+    flat = np.full(SHAPE, level, np.uint16)
+    flat[: round(dark_share * SHAPE[0])] = 0
+    with pytest.raises(ValueError, match=why):
+        flat_field(flat, np.zeros(SHAPE[1], np.float32), FULL_SCALE)

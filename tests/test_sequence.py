@@ -379,6 +379,43 @@ def test_a_wrong_dark_frame_is_refused(folder: Path, tmp_path: Path) -> None:
     assert "none.tif is no existing file" in text
 
 
+def test_a_flat_frame_takes_the_fall_off_out_of_the_frames(tmp_path: Path) -> None:
+    x = np.linspace(-1.0, 1.0, SHAPE[1])
+    response = np.broadcast_to(1.0 - 0.4 * x**2, SHAPE)
+    dark = np.full(SHAPE, 64, np.uint16)
+    clean = make_frames(3)
+    frames = [np.rint(64 + (f.astype(float) - 64) * response).astype(np.uint16) for f in clean]
+    write(tmp_path / "even", clean)
+    write(tmp_path / "falling", frames)
+    tifffile.imwrite(tmp_path / "dark.tif", dark)
+    flat = np.rint(64 + 3000 * response).astype(np.uint16)
+    flat[30, 40] = 64
+    tifffile.imwrite(tmp_path / "flat.tif", flat)
+    even = Sequence.open(tmp_path / "even", tmp_path / "dark.tif").frame(1)
+    found = Sequence.open(
+        tmp_path / "falling", tmp_path / "dark.tif", flat_frame=tmp_path / "flat.tif"
+    ).frame(1)
+    assert not found.valid[30, 40]
+    both = even.valid & found.valid
+    lit = both & (even.image > 0.1)
+    scale = float(np.median(found.image[lit] / even.image[lit]))
+    assert scale == pytest.approx(float(np.median(response)), rel=0.01)
+    np.testing.assert_allclose(found.image[both], scale * even.image[both], atol=6e-4)
+
+
+def test_a_wrong_flat_frame_is_refused(folder: Path, tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "small.tif", np.full((96, 100), 2000, np.uint16))
+    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "small.tif"))
+    assert "The flat frame" in text
+    assert "small.tif is 100 x 96 with 16 bits, the sequence is 128 x 96 with 16" in text
+    tifffile.imwrite(tmp_path / "black.tif", np.zeros(SHAPE, np.uint16))
+    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "black.tif"))
+    assert "black.tif is too dark" in text
+    assert "take an evenly bright surface" in text
+    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "none.tif"))
+    assert "none.tif is no existing file" in text
+
+
 @pytest.mark.parametrize("value", [0, 17, 255])
 def test_uniform_frames_open(tmp_path: Path, value: int) -> None:
     cv2.imwrite(str(tmp_path / "frame.png"), np.full(SHAPE, value, np.uint8))

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "CONSISTENCY",
+    "CONSISTENCY_LIMITS",
     "CRACKS",
     "CRACK_RGB",
     "FRAMES",
@@ -31,6 +33,9 @@ POINTS = "Crossing points"
 GRID = "Fitted grid"
 MODULE = "Module image"
 SUPPORT = "Support"
+CONSISTENCY = "Contradictions"
+CONSISTENCY_LIMITS = (0.5, 3.0)
+"""Residual of the frames, in units of the noise."""
 CRACKS = "Cracks"
 
 GRID_COLOUR = "#56B4E9"

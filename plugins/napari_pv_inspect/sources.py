@@ -12,6 +12,8 @@ from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 
 from napari_pv_inspect.appearance import (
+    CONSISTENCY,
+    CONSISTENCY_LIMITS,
     CRACKS,
     FRAMES,
     MODULE,
@@ -87,6 +89,12 @@ def result_layers(folder: Path) -> list[LayerData]:
         "colormap": "viridis",
         "visible": False,
     }
+    consistency = {
+        "name": CONSISTENCY,
+        "contrast_limits": CONSISTENCY_LIMITS,
+        "colormap": "magma",
+        "visible": False,
+    }
     cracks = {
         "name": CRACKS,
         "contrast_limits": (0.0, 1.0),
@@ -97,6 +105,7 @@ def result_layers(folder: Path) -> list[LayerData]:
     return [
         (result.image, image, "image"),
         (result.support, support, "image"),
+        (result.consistency, consistency, "image"),
         (result.cracks, cracks, "image"),
     ]
 

@@ -84,6 +84,7 @@ def test_a_result_folder_becomes_module_image_support_and_cracks(
     assert [attributes["name"] for _, attributes, _ in layers] == [
         "Module image",
         "Support",
+        "Contradictions",
         "Cracks",
     ]
     assert tiny_inspection.reconstruction is not None
@@ -118,7 +119,12 @@ def test_a_result_is_shown_with_its_cells(
     viewer = make_napari_viewer()
     dock, cells = build(viewer)
     load(viewer, dock, result_folder)
-    assert [layer.name for layer in viewer.layers] == ["Module image", "Support", "Cracks"]
+    assert [layer.name for layer in viewer.layers] == [
+        "Module image",
+        "Support",
+        "Contradictions",
+        "Cracks",
+    ]
     assert cells.cells.rowCount() == 12
     cells.view.setCurrentIndex(cells.cells.index(0))
     corners = dock.bench.model.result.grid.to_pixels(np.array([[0.0, 0.0], [1.0, 1.0]]))

@@ -78,6 +78,7 @@ def test_a_run_shows_module_image_support_cracks_and_cells(
     image = viewer.layers["Module image"]
     np.testing.assert_array_equal(image.data, replayed.inspection.reconstruction.image)
     assert not viewer.layers["Support"].visible
+    assert not viewer.layers["Contradictions"].visible
     assert viewer.layers["Cracks"].data.shape == image.data.shape
     assert cells.cells.rowCount() == 12
     assert dock.result.save.isEnabled()
@@ -301,3 +302,19 @@ def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
     assert not dock.bench.has_gallery
     run(dock, qtbot)
     assert "Cells" in viewer.window.dock_widgets
+
+
+def test_lambda_is_automatic_until_the_user_moves_it_and_can_be_again(
+    bench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    _, dock, _ = bench
+    model = dock.bench.model
+    assert dock.run.automatic.isChecked()
+    dock.run.prior_weight.number.setValue(2.0)
+    assert not dock.run.automatic.isChecked()
+    assert model.settings.prior_weight == 2.0
+    dock.run.automatic.setChecked(True)
+    assert model.settings.prior_weight is None
+    run(dock, qtbot)
+    found = replayed.inspection.reconstruction.prior_weight
+    assert dock.run.prior_weight.value == pytest.approx(found, abs=1e-3)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from qtpy.QtCore import Signal
+from qtpy.QtCore import QSignalBlocker, Signal
 from qtpy.QtWidgets import (
+    QCheckBox,
     QFormLayout,
     QGroupBox,
     QHBoxLayout,
@@ -35,6 +36,10 @@ class RunBox(QGroupBox):
         self._model = model
         self.magnification = SettingSlider("magnification", 1.0, 6.0, decimals=2)
         self.prior_weight = SettingSlider("prior_weight", *LAMBDA_RANGE, 4, logarithmic=True)
+        self.automatic = QCheckBox("Lambda automatic")
+        self.automatic.setToolTip(
+            "Choose lambda so that the image predicts pixels best that it has not seen."
+        )
         self.run = QPushButton("Run")
         self.run.setToolTip("Do all stages that are not up to date, in the background.")
         self.cancel = QPushButton("Cancel")
@@ -50,17 +55,19 @@ class RunBox(QGroupBox):
         form = QFormLayout(self)
         form.addRow("Magnification", self.magnification)
         form.addRow("Lambda", self.prior_weight)
+        form.addRow("", self.automatic)
         form.addRow(buttons)
         form.addRow(self.progress)
         form.addRow(self.message)
         self.magnification.changed.connect(self._on_magnification)
         self.prior_weight.changed.connect(self._on_prior_weight)
+        self.automatic.toggled.connect(self._on_automatic)
         self.run.clicked.connect(self.run_wanted)
         self.cancel.clicked.connect(self.cancel_wanted)
         listen(model.settings_changed, self._on_settings)
         listen(model.sequence_changed, self._on_state)
         listen(model.run_changed, self._on_state)
-        listen(model.inspection_changed, self._on_state)
+        listen(model.inspection_changed, self._on_inspection)
         listen(model.progress_changed, self._on_progress)
         listen(model.noticed, self._on_notice)
         self._on_settings(model.settings)
@@ -71,9 +78,29 @@ class RunBox(QGroupBox):
     def _on_prior_weight(self, value: float) -> None:
         self._model.change_settings(prior_weight=value)
 
+    def _on_automatic(self, automatic: bool) -> None:
+        weight = None if automatic else self.prior_weight.value
+        self._model.change_settings(prior_weight=weight)
+
     def _on_settings(self, settings: Settings) -> None:
         self.magnification.show_value(settings.magnification)
-        self.prior_weight.show_value(settings.prior_weight)
+        self._show_prior_weight()
+        self._on_state()
+
+    def _show_prior_weight(self) -> None:
+        """Show lambda: the user's, else the one that was found automatically."""
+        weight = self._model.settings.prior_weight
+        with QSignalBlocker(self.automatic):
+            self.automatic.setChecked(weight is None)
+        inspection = self._model.inspection
+        made = None if inspection is None else inspection.reconstruction
+        if weight is None and made is not None:
+            weight = made.prior_weight
+        if weight is not None:
+            self.prior_weight.show_value(weight)
+
+    def _on_inspection(self, _: object = None) -> None:
+        self._show_prior_weight()
         self._on_state()
 
     def _on_state(self, _: object = None) -> None:

@@ -41,6 +41,14 @@ class ModuleLayers:
             contrast_limits=(0.0, 1.0),
             visible=False,
         )
+        self._consistency = LayerSlot(
+            viewer,
+            Image,
+            name=look.CONSISTENCY,
+            colormap="magma",
+            contrast_limits=look.CONSISTENCY_LIMITS,
+            visible=False,
+        )
         self._cracks = LayerSlot(
             viewer,
             Image,
@@ -65,11 +73,12 @@ class ModuleLayers:
         self._shown = None
         # An overlay of an earlier image would lie about this one.
         self._support.veil()
+        self._consistency.veil()
         self._cracks.veil()
         self._cracks_shown = None
 
     def _on_sequence(self, _: Sequence | None) -> None:
-        for slot in (self._image, self._support, self._cracks):
+        for slot in (self._image, self._support, self._consistency, self._cracks):
             slot.drop()
         self._contrast_is_final = False
         self._shown = self._cracks_shown = self.placement = self.grid = None
@@ -83,6 +92,7 @@ class ModuleLayers:
             assert self.placement is not None
             place = self.placement
             self._support.put(made.support, scale=place.scale, translate=place.translate)
+            self._consistency.put(made.consistency, scale=place.scale, translate=place.translate)
             self._shown = made
         if inspection.cracks is not None and inspection.cracks is not self._cracks_shown:
             place = module_placement(made.grid, made.image.shape, self._frame_shape)

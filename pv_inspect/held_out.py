@@ -1,0 +1,227 @@
+"""How strong the prior has to be, from how well the image predicts pixels that it has not seen.
+
+Parts of the module are reconstructed from nine tenths of the LR pixels, with several weights from
+strong to weak. The weight that predicts the remaining tenth best is taken: too strong a prior
+predicts a blur, too weak a one the noise of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.camera import Camera
+from pv_inspect.layout import HrGrid
+from pv_inspect.observation import NormalEquations, ObservationModel
+from pv_inspect.prior import PriorName
+from pv_inspect.psf_estimation import View
+from pv_inspect.solver import Problem, first_guess, minimise
+
+__all__ = [
+    "Trial",
+    "choose_prior_weight",
+    "prediction_error",
+    "split",
+    "typical_prior_weight",
+    "windows_of",
+]
+
+Image = NDArray[np.floating]
+
+CANDIDATES = {
+    "wbtv": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
+    "btv": tuple(float(v) for v in 4.0 * 0.5 ** np.arange(10)),
+    "tikhonov": tuple(float(v) for v in 0.2 * 0.5 ** np.arange(11)),
+}
+"""Weights that are tried, from strong to weak."""
+_HELD_OUT = 0.1
+_SEED = 7
+# Steps from the first guess, and from the image of the next stronger weight.
+_FIRST_STEPS, _NEXT_STEPS = 50, 30
+# Residuals beyond this many sigma are outliers and count as this many.
+_OUTLIER = 5.0
+# Windows lie on the module's diagonals, and are this wide.
+_WINDOW_CENTRES = ((0.22, 0.27), (0.68, 0.36), (0.45, 0.74))
+_SIDE_LR_PX = 48.0
+# Weights this many steps beyond a minimum are no longer tried.
+_BEYOND = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A part of the module with what every frame sees of it.
+
+    Parameters
+    ----------
+    grid : HrGrid
+    views : tuple of View
+        What the frames see of it.
+    """
+
+    grid: HrGrid
+    views: tuple[View, ...]
+
+
+def typical_prior_weight(name: PriorName) -> float:
+    """Return a weight that does no great harm, where there is nothing to choose by."""
+    candidates = CANDIDATES[name]
+    return candidates[len(candidates) // 2]
+
+
+def windows_of(grid: HrGrid, side_lr_px: float = _SIDE_LR_PX) -> list[HrGrid]:
+    """Return square windows of a grid, spread over the module."""
+    side = int(min(side_lr_px * grid.magnification, *grid.shape))
+    windows = []
+    for at in _WINDOW_CENTRES:
+        x, y = np.round(grid.to_pixels(np.asarray(at) * grid.layout.size)).astype(int) - side // 2
+        x = int(np.clip(x, 0, grid.shape[1] - side))
+        y = int(np.clip(y, 0, grid.shape[0] - side))
+        origin = (grid.origin_px[0] - x, grid.origin_px[1] - y)
+        windows.append(replace(grid, origin_px=origin, shape=(side, side)))
+    return windows
+
+
+def split(weights: Sequence[Image], share: float, seed: int) -> tuple[list[Image], list[Image]]:
+    """Split LR pixels at random: weights to reconstruct with, weights to judge with.
+
+    Parameters
+    ----------
+    weights : sequence of (height, width) float32
+        1 / variance of the pixels of every frame.
+    share : float
+        Share of the pixels that is held out.
+    seed : int
+    """
+    rng = np.random.default_rng(seed)
+    train, test = [], []
+    for weight in weights:
+        out = rng.random(weight.shape) < share
+        train.append(np.where(out, np.float32(0), weight))
+        test.append(np.where(out, weight, np.float32(0)))
+    return train, test
+
+
+def prediction_error(
+    views: Sequence[View], models: Sequence[ObservationModel], test: Sequence[Image], image: Image
+) -> tuple[float, int]:
+    """Sum of squared residuals of held-out pixels in noise units, and their number.
+
+    Parameters
+    ----------
+    views : sequence of View
+    models : sequence of ObservationModel
+        One per view.
+    test : sequence of (height, width) float32
+        1 / variance of the pixels to judge with, 0 for the others.
+    image : (height, width)
+        HR image of the window.
+    """
+    blurred = models[0].blur.apply(image)
+    total, n = 0.0, 0
+    for view, model, weights in zip(views, models, test, strict=True):
+        sampled = model.frame(view.H, view.motion).sample(blurred)
+        use = (weights > 0) & (sampled != 0)
+        z2 = weights[use] * (view.g[use] - sampled[use]) ** 2
+        total += float(np.minimum(z2, _OUTLIER**2).sum())
+        n += int(use.sum())
+    return total, n
+
+
+def choose_prior_weight(
+    camera: Camera,
+    trials: Sequence[Trial],
+    sigma: float,
+    name: PriorName = "wbtv",
+) -> Generator[float, None, tuple[float, tuple[tuple[float, float], ...]]]:
+    """Find the prior weight that predicts held-out pixels best.
+
+    Parameters
+    ----------
+    camera : Camera
+    trials : sequence of Trial
+        Parts of the module; their residuals are pooled.
+    sigma : float
+        Optical sigma, LR px.
+    name : {"wbtv", "btv", "tikhonov"}
+
+    Yields
+    ------
+    float
+        Share of the work done.
+
+    Returns
+    -------
+    weight : float
+        lambda: the vertex of the parabola in log lambda through the best candidate and its
+        neighbours.
+    curve : tuple of (float, float)
+        Candidates from weak to strong, with the mean squared residual of the held-out pixels in
+        units of the noise; 1 is noise alone. Empty if no frame sees a window.
+    """
+    runs = [_Run.of(camera, trial, sigma, name) for trial in trials if trial.views]
+    runs = [run for run in runs if run.equations.n_pixels]
+    candidates = CANDIDATES[name]
+    scores: list[float] = []
+    for k, weight in enumerate(candidates):
+        pooled = np.array([run.error(weight) for run in runs])
+        if not len(pooled) or pooled[:, 1].sum() == 0:
+            return typical_prior_weight(name), ()
+        scores.append(float(pooled[:, 0].sum() / pooled[:, 1].sum()))
+        yield (k + 1) / len(candidates)
+        if k - int(np.argmin(scores)) >= _BEYOND:
+            break
+    curve = tuple(zip(candidates, scores, strict=False))[::-1]
+    return _vertex(curve), curve
+
+
+@dataclass(eq=False)
+class _Run:
+    """A window in the course of its reconstructions."""
+
+    trial: Trial
+    models: list[ObservationModel]
+    equations: NormalEquations
+    test: list[Image]
+    name: PriorName
+    brightness: float
+    image: Image
+    steps: int = _FIRST_STEPS
+
+    @classmethod
+    def of(cls, camera: Camera, trial: Trial, sigma: float, name: PriorName) -> _Run:
+        views = trial.views
+        homographies = np.array([view.H for view in views])
+        shared = ObservationModel.build(views[0].rays, camera, homographies, trial.grid, sigma)
+        models = [replace(shared, rays=view.rays) for view in views]
+        train, test = split([view.weights for view in views], _HELD_OUT, _SEED)
+        equations = NormalEquations.empty(shared)
+        for view, weights in zip(views, train, strict=True):
+            equations.add(view.H, view.g, weights, view.motion, view.rays)
+        guess = first_guess(equations)
+        return cls(trial, models, equations, test, name, _typical(guess), guess)
+
+    def error(self, weight: float) -> tuple[float, int]:
+        """Reconstruct with a weight from where the last one ended; see `prediction_error`."""
+        problem = Problem(self.equations, weight, self.brightness, self.name)
+        for state in minimise(problem, self.image, self.steps, tolerance=0.0):
+            self.image = state.image
+        self.steps = _NEXT_STEPS
+        return prediction_error(self.trial.views, self.models, self.test, self.image)
+
+
+def _typical(image: Image) -> float:
+    return max(float(np.median(image)), 1e-6)
+
+
+def _vertex(curve: tuple[tuple[float, float], ...]) -> float:
+    """Vertex of the parabola through the best weight and its neighbours, in log lambda."""
+    x, y = np.log([w for w, _ in curve]), np.array([e for _, e in curve])
+    k = int(np.argmin(y))
+    if k in (0, len(y) - 1) or len(y) < 3:
+        return float(np.exp(x[k]))
+    c2, c1, _ = np.polyfit(x[k - 1 : k + 2] - x[k], y[k - 1 : k + 2], 2)
+    step = -c1 / (2 * c2) if c2 > 0 else 0.0
+    return float(np.exp(np.clip(x[k] + step, x[k - 1], x[k + 1])))

@@ -1,0 +1,104 @@
+"""How much of the finest detail the frames have determined, and how much the prior.
+
+The minimiser of Eq. 7 answers to a change of the scene with ``R = (A + L)^-1 A``, A the data's
+normal operator and L the prior's majoriser: what the data say passes, the rest is held back. A
+pattern that the scene does not contain is sent through R; the share that arrives is the support.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
+
+from pv_inspect.observation import NormalEquations
+from pv_inspect.stencil import Stencil
+
+__all__ = ["probe", "support_of"]
+
+Image = NDArray[np.float32]
+
+# The band of the probe, cycles per LR pixel: just beyond what one frame resolves.
+_BAND = (0.55, 0.8)
+# Radius over which the answer is averaged, LR pixels.
+_WINDOW_LR_PX = 1.5
+_ITERATIONS = 40
+_TOLERANCE = 0.1
+_TILE = 512
+_SEED = 7
+
+
+def probe(shape: tuple[int, int], magnification: float) -> Image:
+    """Noise with details just finer than the LR pixels: 0.55 to 0.8 cycles per LR pixel.
+
+    Parameters
+    ----------
+    shape : (height, width)
+    magnification : float
+        HR pixels per LR pixel. If the grid can't carry the band, it ends at the grid's limit.
+
+    Returns
+    -------
+    (height, width) float32
+        Mean 0, standard deviation 1; the same for the same arguments.
+    """
+    high = min(_BAND[1], 0.5 * magnification)
+    low = _BAND[0] / _BAND[1] * high
+    fy, fx = np.fft.fftfreq(_TILE)[:, None], np.fft.rfftfreq(_TILE)[None]
+    frequency = magnification * np.hypot(fy, fx)
+    noise = np.fft.rfft2(np.random.default_rng(_SEED).standard_normal((_TILE, _TILE)))
+    noise[(frequency < low) | (frequency > high)] = 0.0
+    tile = np.fft.irfft2(noise, (_TILE, _TILE))
+    tile /= tile.std()
+    height, width = shape
+    repeats = (-(-height // _TILE), -(-width // _TILE))
+    return np.ascontiguousarray(np.tile(tile, repeats)[:height, :width], dtype=np.float32)
+
+
+def support_of(equations: NormalEquations, prior: Stencil) -> Image:
+    """Share of a detail just finer than the LR pixels that comes from the frames.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        The data.
+    prior : Stencil
+        Majoriser of the prior at the minimiser, on the scale of the equations.
+
+    Returns
+    -------
+    (height, width) float32
+        0..1. 1: such detail is shown with its full contrast; 0: where it is missing from the
+        image, the scene may have it nevertheless.
+
+    Notes
+    -----
+    With the probe z and u = R z the support is the local regression coefficient of u on z,
+    ``G * (z u) / G * z^2`` with a Gaussian window G. ``(A + L) u = A z`` is solved by conjugate
+    gradients to a residual of 10 %: at usual weights of the prior the support comes out too low by
+    a few hundredths, with hardly any prior by a quarter, and never too high. The expectation over
+    z is the mean of the diagonal of R restricted to the band. Frames that all stand in the same
+    place reach about 0.1: one sample per LR pixel tells a part of the band from what it aliases to.
+    """
+    shape = equations.model.grid.shape
+    magnification = equations.model.grid.magnification
+    z = probe(shape, magnification)
+
+    def full(x: NDArray[np.float32]) -> NDArray[np.float32]:
+        image = np.asarray(x, np.float32).reshape(shape)
+        return np.asarray(equations.apply(image) + prior.apply(image), np.float32).ravel()
+
+    diagonal = equations.diagonal + prior.diagonal
+    inverse = (1.0 / np.maximum(diagonal, 1e-9 * float(diagonal.max()))).astype(np.float32).ravel()
+    n = z.size
+    operator = LinearOperator((n, n), matvec=full, dtype=np.float32)
+    jacobi = LinearOperator((n, n), matvec=lambda x: inverse * x.ravel(), dtype=np.float32)
+    b = np.asarray(equations.apply(z), np.float32).ravel()
+    u, _ = cg(operator, b, rtol=_TOLERANCE, maxiter=_ITERATIONS, M=jacobi)
+    sigma = _WINDOW_LR_PX * magnification
+    answer = cv2.GaussianBlur(u.reshape(shape) * z, (0, 0), sigma)
+    power = cv2.GaussianBlur(z * z, (0, 0), sigma)
+    share = np.clip(answer / np.maximum(power, 1e-6), 0.0, 1.0)
+    share[equations.model.blur.apply(equations.coverage) <= 0.0] = 0.0
+    return np.asarray(share, np.float32)
