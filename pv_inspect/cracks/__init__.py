@@ -179,6 +179,7 @@ def read_cracks(
             busbars=busbars,
             cell_width_mm=settings.cell_width_mm,
             least_extent_cells=point.least_extent_cells,
+            support=None if tiles.support is None else tiles.support[row, col],
         )
         for row, col in np.ndindex(rows, cols)
     )

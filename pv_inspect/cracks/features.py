@@ -103,6 +103,10 @@ class CellFeatures:
         (`isolated_share`); NaN if no busbars were found.
     isolated_brightness : float
         Mean brightness there divided by that of the rest of the cell; NaN if nothing is cut off.
+    crack_support : float
+        Mean support of the image on the marks, or over the cell if there are none: the share of
+        its finest detail that the frames have determined. Where it is low, fine cracks can
+        neither be trusted nor excluded. NaN if no support map is known.
     """
 
     row: int
@@ -117,6 +121,7 @@ class CellFeatures:
     largest_dark_share: float = 0.0
     isolated_area_share: float = float("nan")
     isolated_brightness: float = float("nan")
+    crack_support: float = float("nan")
 
     @property
     def crack_suspected(self) -> bool:
@@ -231,6 +236,7 @@ def measure_cell(
     busbars: Busbars | None = None,
     cell_width_mm: float | None = None,
     least_extent_cells: float = OperatingPoint.least_extent_cells,
+    support: NDArray[np.float32] | None = None,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -251,6 +257,8 @@ def measure_cell(
     cell_width_mm : float, optional
     least_extent_cells : float
         See `crack_marks`.
+    support : (h, w) float32, optional
+        Support map of the cell.
 
     Returns
     -------
@@ -280,7 +288,15 @@ def measure_cell(
         largest_dark_share=largest_dark,
         isolated_area_share=isolated,
         isolated_brightness=brightness,
+        crack_support=_support_on(support, marks),
     )
+
+
+def _support_on(support: NDArray[np.float32] | None, marks: list[NDArray[np.bool_]]) -> float:
+    if support is None:
+        return float("nan")
+    seen = support[np.logical_or.reduce(marks)] if marks else support
+    return float(seen.mean(dtype=np.float64))
 
 
 def _isolated(

@@ -189,3 +189,15 @@ def test_features_survive_a_table_and_old_tables_can_be_read() -> None:
     assert isinstance(read.crack_branches, int)
     old = {name: line[name] for name in FEATURES[:5]}
     assert np.isnan(from_texts(0, 0, old).isolated_area_share)
+
+
+def test_support_is_that_of_the_marks_or_of_the_cell() -> None:
+    mask = drawn(((20, 20), (180, 20)))
+    support = np.where(mask, 0.2, 0.6).astype(np.float32)
+    arguments = {"row": 0, "col": 0, "cell_width_px": SIDE, "usual_intensity": 0.5}
+    tile = np.full(mask.shape, 0.5, np.float32)
+    on_marks = measure_cell(tile, mask.astype(np.float32), 0.5, support=support, **arguments)
+    assert on_marks.crack_support == pytest.approx(0.2)
+    clean = measure_cell(tile, np.zeros_like(tile), 0.5, support=support, **arguments)
+    assert clean.crack_support == pytest.approx(float(support.mean()))
+    assert np.isnan(measured(mask).crack_support)
