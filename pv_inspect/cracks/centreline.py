@@ -78,12 +78,14 @@ def branches(mask: Mask) -> list[Chain]:
     corner = np.array([rows[0], cols[0]], np.float64) - pad
     graph = _neighbours(points)
     chains = []
-    for path in _paths(points):
-        chain = _smooth(path)
+    paths = list(_paths(points))
+    smooth = [_smooth(path) for path in paths]
+    half_width = (wide & inside).sum() / (2 * max(sum(length_of(c) for c in smooth), 1.0))
+    for path, chain in zip(paths, smooth, strict=True):
         if len(graph[path[-1]]) == 1:
-            chain = _ended(chain, wide, inside, radius)
+            chain = _ended(chain, wide, inside, radius, half_width)
         if len(graph[path[0]]) == 1:
-            chain = _ended(chain[::-1], wide, inside, radius)[::-1]
+            chain = _ended(chain[::-1], wide, inside, radius, half_width)[::-1]
         chains.append(chain + corner)
     return chains
 
@@ -121,7 +123,9 @@ def _without_twigs(skeleton: Mask, radius: NDArray[np.float32]) -> set[_Pixel]:
         skeleton = np.asarray(thin(skeleton))  # type: ignore[no-untyped-call]
 
 
-def _ended(chain: Chain, mask: Mask, inside: Mask, radius: NDArray[np.float32]) -> Chain:
+def _ended(
+    chain: Chain, mask: Mask, inside: Mask, radius: NDArray[np.float32], half_width: float
+) -> Chain:
     """Chain whose last point lies half a line's width before the end of the mask.
 
     Thinning takes more or less away from the end of a line, which is as round as it is wide. What
@@ -138,7 +142,9 @@ def _ended(chain: Chain, mask: Mask, inside: Mask, radius: NDArray[np.float32]) 
     if not inside[y[n], x[n]]:
         return np.vstack([chain, ahead[n : n + 1]])
     back = np.rint(chain[-1 - reach]).astype(int)
-    missing = n * _MARCH_PX - (float(radius[back[0], back[1]]) - 0.5)
+    # The distance transform knows the width of a thin line to a pixel only, its area better.
+    here = float(radius[back[0], back[1]])
+    missing = n * _MARCH_PX - min(max(half_width, here - 0.5), here)
     if missing > 0:
         return np.vstack([chain, chain[-1:] + missing * way])
     along = np.concatenate([[0.0], np.hypot(*np.diff(chain, axis=0).T).cumsum()])

@@ -24,6 +24,7 @@ import csv
 import hashlib
 import json
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -50,13 +51,13 @@ from pv_inspect.cracks.network import CELL_PX, NetworkDetector, normalised
 from pv_inspect.cracks.reliability import fit_calibration
 from pv_inspect.cracks.scores import pixel_score
 
-__all__ = ["CrackNet", "Recipe", "describe", "probabilities", "train", "write_onnx"]
+__all__ = ["CRACKED_PX", "CrackNet", "Recipe", "describe", "probabilities", "train", "write_onnx"]
 
 _CHANNELS = (16, 32, 64, 96)
 # Weights of the cross entropy, in the order of CLASSES: rare classes count more.
 _CLASS_WEIGHTS = (1.0, 2.0, 6.0, 4.0, 1.0)
 # A cell with fewer crack pixels counts as one without.
-_CRACKED_PX = 40
+CRACKED_PX = 40
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Recipe:
     seed : int
     """
 
-    steps: int = 3600
+    steps: int = 6000
     batch: int = 8
     learning_rate: float = 3e-3
     weight_decay: float = 1e-3
@@ -93,7 +94,8 @@ class Recipe:
     seed: int = 0
 
 
-def _unit(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
+def convolution(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
+    """Convolution without bias, batch normalisation, ReLU."""
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, size, stride, size // 2, bias=False),
         nn.BatchNorm2d(outputs),
@@ -110,12 +112,13 @@ class CrackNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         c = _CHANNELS
-        self.stem = nn.Sequential(_unit(1, c[0], 2, 5), _unit(c[0], c[0]))
+        self.stem = nn.Sequential(convolution(1, c[0], 2, 5), convolution(c[0], c[0]))
         self.down = nn.ModuleList(
-            nn.Sequential(_unit(c[i], c[i + 1], 2), _unit(c[i + 1], c[i + 1])) for i in range(3)
+            nn.Sequential(convolution(c[i], c[i + 1], 2), convolution(c[i + 1], c[i + 1]))
+            for i in range(3)
         )
         self.narrow = nn.ModuleList(nn.Conv2d(c[i + 1], c[i], 1) for i in range(3))
-        self.up = nn.ModuleList(_unit(c[i], c[i]) for i in range(3))
+        self.up = nn.ModuleList(convolution(c[i], c[i]) for i in range(3))
         self.head = nn.Conv2d(c[0], 4 * len(CLASSES), 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -154,7 +157,7 @@ def batches(
     rng = np.random.default_rng(recipe.seed)
     augment = Augmentation(recipe.degrade)
     small = [prepared(cell.image, cell.label) for cell in cells]
-    cracked = np.array([int(cell.crack.sum()) >= _CRACKED_PX for cell in cells])
+    cracked = np.array([int(cell.crack.sum()) >= CRACKED_PX for cell in cells])
     pools = [np.flatnonzero(cracked), np.flatnonzero(~cracked)]
     while True:
         halves = recipe.degrade and rng.random() < recipe.half_cut_share
@@ -285,19 +288,27 @@ def _average(averaged: nn.Module, net: nn.Module, past: float) -> None:
 
 def write_onnx(net: nn.Module, path: Path) -> None:
     """Write a network with its softmax; number and size of the cells are free."""
-    torch.onnx.export(
-        _WithSoftmax(net).eval(),
-        (torch.zeros(1, 1, CELL_PX, CELL_PX),),
-        str(path),
-        input_names=["cells"],
-        output_names=["probabilities"],
-        dynamic_axes={
-            "cells": {0: "n", 2: "h", 3: "w"},
-            "probabilities": {0: "n", 2: "h", 3: "w"},
-        },
-        opset_version=17,
-        dynamo=False,
-    )
+    export(_WithSoftmax(net), path)
+
+
+def export(net: nn.Module, path: Path) -> None:
+    """Write a network that maps cells to probabilities."""
+    with warnings.catch_warnings():
+        # The exporter that is meant to replace this one needs two more packages.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            net.eval(),
+            (torch.zeros(1, 1, CELL_PX, CELL_PX),),
+            str(path),
+            input_names=["cells"],
+            output_names=["probabilities"],
+            dynamic_axes={
+                "cells": {0: "n", 2: "h", 3: "w"},
+                "probabilities": {0: "n", 2: "h", 3: "w"},
+            },
+            opset_version=17,
+            dynamo=False,
+        )
 
 
 def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0) -> None:
