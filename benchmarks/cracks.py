@@ -51,6 +51,7 @@ def detectors() -> dict[str, CrackDetector]:
     return {
         "network": NetworkDetector(),
         "network, sharp cells": NetworkDetector("sharp"),
+        "network, cell labels": NetworkDetector("weak"),
         "ridge filters": RidgeDetector(),
     }
 

@@ -26,7 +26,7 @@ Model = Annotated[
     typer.Option(
         "--model",
         help="ONNX file of a network of one's own, made by pv_inspect.cracks.train, with its JSON "
-        "file beside it.",
+        "file beside it; or sharp or weak, networks that are there for comparison.",
     ),
 ]
 

