@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 
 from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.camera import Camera
-from pv_inspect.detection import Crossings, FrameCrossings
+from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.settings import Settings
 

@@ -58,20 +58,16 @@ class Accumulation:
         rays: SensorRays,
         psf_sigma_lr_px: float,
         motion: Array,
+        photometry: Photometry | None = None,
+        look: Image | None = None,
     ) -> Accumulation:
-        """Begin without any frame."""
+        """Begin without any frame; ``look`` is an earlier image of the module on the grid."""
         homographies = registration.homographies[registration.used]
         camera = registration.camera
         model = ObservationModel.build(rays, camera, homographies, grid, psf_sigma_lr_px)
-        return cls(sequence, registration, motion, NormalEquations.empty(model))
-
-    def again(self, image: Image, photometry: Photometry) -> Accumulation:
-        """Begin again with what a first image of the module has taught."""
-        blurred = np.asarray(self.equations.model.blur.apply(image), np.float32)
-        equations = NormalEquations.empty(self.equations.model)
-        return Accumulation(
-            self.sequence, self.registration, self.motion, equations, photometry, blurred
-        )
+        blurred = None if look is None else np.asarray(model.blur.apply(look), np.float32)
+        equations = NormalEquations.empty(model)
+        return cls(sequence, registration, motion, equations, photometry, blurred)
 
     def add(self, frame: int) -> tuple[Image, Image]:
         """Let one frame of the sequence enter.

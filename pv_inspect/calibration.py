@@ -26,7 +26,7 @@ from pv_inspect.layout import ModuleLayout
 from pv_inspect.settings import Settings
 
 if TYPE_CHECKING:
-    from pv_inspect.detection import Crossings, FrameCrossings
+    from pv_inspect.crossings import Crossings, FrameCrossings
 
 __all__ = ["Calibration", "calibrate", "conventional_focal_length", "focal_length_source"]
 

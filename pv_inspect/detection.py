@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator
-from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
-from pv_inspect.camera import Camera
+from pv_inspect.crossings import Crossings, FrameCrossings, crossings_of
 from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Outline, OutlineError, Pose, find_outlines, fit_pose
+from pv_inspect.pose_refinement import refined_pose
 from pv_inspect.sequence import Sequence
 
-__all__ = ["Crossings", "FrameCrossings", "detect", "detect_in_frame"]
+__all__ = ["detect", "detect_in_frame"]
 
 Array = NDArray[np.float64]
 
@@ -42,7 +41,6 @@ SEARCH_UNITS = (0.12, 0.06, 0.04)
 """Half width of the search across a gap, module units, in successive rounds."""
 MIN_SEARCH_PX = 1.2
 SAMPLES_PER_CELL = 4
-KAPPA_STEP = 1e-5
 MIN_GAPS_TO_COMPLETE = 30
 """With fewer gaps between cells, most of them may be in place by chance."""
 EQUAL_STANDING = 0.2
@@ -50,47 +48,6 @@ EQUAL_STANDING = 0.2
 RUNS_OVER = "what is bright runs over the border of the image, no module is completely in view"
 NEAR_CELLS = 0.5
 """A point may be so many cells beside the module that it chooses."""
-MIN_ON_SIDE = 3
-"""So many outer edges say where the others of their side are."""
-
-
-@dataclass(frozen=True)
-class FrameCrossings:
-    """Crossing points of one frame.
-
-    Parameters
-    ----------
-    points_px : (n_crossings, 2) float64
-        (x, y) in LR pixels, row-major; NaN where unknown. May lie outside of the frame.
-    sigma_px : (n_crossings,) float64
-        Standard deviation of a coordinate.
-    measured : (n_crossings,) bool
-        Whether both coordinates come from visible gaps; otherwise the point is predicted.
-    why : str
-        Empty, or the reason why the frame failed.
-    """
-
-    points_px: Array
-    sigma_px: Array
-    measured: NDArray[np.bool_]
-    why: str = ""
-
-    @classmethod
-    def failed(cls, layout: ModuleLayout, why: str) -> FrameCrossings:
-        """Return the record of a frame in which nothing was found."""
-        n = layout.n_crossings
-        return cls(np.full((n, 2), np.nan), np.full(n, np.inf), np.zeros(n, bool), why)
-
-    def turned(self, layout: ModuleLayout, quarter_turns: int) -> FrameCrossings:
-        """Return the same points for a module turned as by `Pose.turned` of the same size."""
-        index = np.arange(layout.n_crossings).reshape(layout.rows + 1, layout.cols + 1)
-        order = np.rot90(index, quarter_turns).ravel()
-        return replace(
-            self,
-            points_px=self.points_px[order],
-            sigma_px=self.sigma_px[order],
-            measured=self.measured[order],
-        )
 
 
 class TwoModulesError(OutlineError):
@@ -98,14 +55,6 @@ class TwoModulesError(OutlineError):
 
 
 Found = tuple[Pose, FrameCrossings]
-
-
-@dataclass(frozen=True)
-class Crossings:
-    """Crossing points of all frames of a sequence, in the order of the frames."""
-
-    layout: ModuleLayout
-    frames: tuple[FrameCrossings, ...]
 
 
 def detect(
@@ -248,7 +197,7 @@ def detect_in_frame(
     # In small cells a share of the cell is less than what noise moves a gap by.
     least = MIN_SEARCH_PX / _scale_px(layout, start)
     for search in SEARCH_UNITS:
-        pose = _refine(pose, edges, measure_edges(image, edges, pose, max(search, least)))
+        pose = refined_pose(pose, edges, measure_edges(image, edges, pose, max(search, least)))
     offsets = measure_edges(image, edges, pose, max(SEARCH_UNITS[-1], least))
     share = _share_in_place(edges, offsets, pose)
     if share < MIN_EDGE_SHARE:
@@ -260,7 +209,7 @@ def detect_in_frame(
         raise OutlineError(
             f"there are borders in the middle of the {layout.rows} x {layout.cols} cells too"
         )
-    return pose, _crossings(layout, edges, offsets, pose)
+    return pose, crossings_of(layout, edges, offsets, pose)
 
 
 def _find_module(
@@ -458,108 +407,6 @@ def _has_finer_grid(image: NDArray[np.float32], layout: ModuleLayout, pose: Pose
     halved = Pose(pose.camera, pose.homography @ np.diag([0.5, 0.5, 1.0]))
     offsets = measure_edges(image, edges, halved, SEARCH_UNITS[-1])
     return _share_in_place(edges, offsets, halved) > FINER_SHARE
-
-
-def _refine(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:
-    """Fit homography and kappa to the measured gaps (robust, 9 parameters)."""
-    use = offsets.found
-    if use.sum() < 9:
-        raise OutlineError(f"only {use.sum()} borders between cells were found")
-    middle = edges.middle[use]
-    normal = edges.normal[use]
-    pixels = pose.project(middle + offsets.offset[use, None] * normal)
-    sigma = np.maximum(offsets.sigma[use], 1e-4)
-    # Dividing by a floor keeps a few very sharp gaps from deciding everything.
-    weight = 1.0 / np.hypot(sigma, np.median(sigma))
-    centre = middle.mean(axis=0)
-    size = max(float(np.ptp(edges.middle, axis=0).max()) / 2, 1.0)
-    inner = np.array([[size, 0, centre[0]], [0, size, centre[1]], [0, 0, 1.0]])
-    first = pose.homography @ inner
-    first = first / first[2, 2]
-
-    def rebuilt(parameters: Array) -> Pose:
-        matrix = np.append(parameters[:8], 1.0).reshape(3, 3) @ np.linalg.inv(inner)
-        return Pose(Camera(pose.camera.K, float(parameters[8])), matrix)
-
-    def residuals(parameters: Array) -> Array:
-        moved = rebuilt(parameters).unproject(pixels)
-        distance = np.nan_to_num(((moved - middle) * normal).sum(axis=1), nan=1.0)
-        return np.append(weight * distance, (parameters[8] - pose.camera.kappa) / 0.2)
-
-    normalised = pose.camera.to_normalised(pixels)
-
-    def derivatives(parameters: Array) -> Array:
-        # Module point = q[:2] / q[2], q = inner P^-1 ray: the eight of P analytically, kappa by
-        # a difference, since it moves nothing but the rays.
-        matrix = np.append(parameters[:8], 1.0).reshape(3, 3)
-        inverse = np.linalg.inv(matrix)
-        to_plane = inner @ inverse
-        moved = []
-        for kappa in (parameters[8], parameters[8] + KAPPA_STEP):
-            ray = Camera(pose.camera.K, float(kappa)).undistort(normalised)
-            q = np.column_stack([ray, np.ones(len(ray))]) @ to_plane.T
-            moved.append((ray, q, q[:, :2] / q[:, 2:]))
-        (ray, q, point), (_, _, further) = moved
-        s = np.column_stack([ray, np.ones(len(ray))]) @ inverse.T
-        along = ((normal @ to_plane[:2]) - (normal * point).sum(axis=1)[:, None] * to_plane[2]) / q[
-            :, 2:
-        ]
-        by_matrix = -(along[:, :, None] * s[:, None, :]).reshape(len(s), 9)[:, :8]
-        by_kappa = ((further - point) * normal).sum(axis=1) / KAPPA_STEP
-        rows = np.nan_to_num(weight[:, None] * np.column_stack([by_matrix, by_kappa]))
-        return np.vstack([rows, np.append(np.zeros(8), 1 / 0.2)])
-
-    fit = least_squares(
-        residuals,
-        np.append(first.ravel()[:8], pose.camera.kappa),
-        derivatives,
-        loss="cauchy",
-        f_scale=2.0,
-        max_nfev=40,
-    )
-    return rebuilt(fit.x)
-
-
-def _crossings(
-    layout: ModuleLayout, edges: CellEdges, offsets: EdgeOffsets, pose: Pose
-) -> FrameCrossings:
-    """Combine the gaps that meet at a crossing; what they do not measure is predicted."""
-    ideal = layout.crossings()
-    total = np.zeros((layout.n_crossings, 2))
-    weight = np.zeros((layout.n_crossings, 2))
-    spread = 1.4826 * np.median(np.abs(offsets.offset[offsets.found])) if offsets.found.any() else 1
-    use = offsets.found & (np.abs(offsets.offset) < 5 * max(spread, 1e-3))
-    precision = np.where(use, 1.0 / np.hypot(offsets.sigma, spread) ** 2, 0.0)
-    axis = np.argmax(np.abs(edges.normal), axis=1)
-    for end in range(2):
-        np.add.at(weight, (edges.crossings[:, end], axis), precision)
-        np.add.at(
-            total, (edges.crossings[:, end], axis), precision * np.where(use, offsets.offset, 0)
-        )
-    known = weight > 0
-    shift = np.divide(total, weight, out=_side_shifts(layout, edges, offsets, use), where=known)
-    points = pose.project(ideal + shift)
-    scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
-    variance = np.divide(1.0, weight, out=np.full_like(weight, (4 * spread) ** 2), where=known)
-    measured = known.all(axis=1) & np.isfinite(points).all(axis=1)
-    sigma = np.where(np.isfinite(scale), scale, np.inf) * np.sqrt(variance.mean(axis=1))
-    return FrameCrossings(points, np.maximum(sigma, 0.01), np.asarray(measured))
-
-
-def _side_shifts(
-    layout: ModuleLayout, edges: CellEdges, offsets: EdgeOffsets, use: NDArray[np.bool_]
-) -> Array:
-    """How far each side of the module lies off the pose, for its crossings: (n_crossings, 2).
-
-    The outer cells may end elsewhere than the pitch of the others says, all along a side.
-    """
-    shift = np.zeros((layout.n_crossings, 2))
-    for axis in range(2):
-        for side in (1, -1):
-            on_it = ~edges.inner & (edges.normal[:, axis] == 1) & (edges.side == side)
-            if (on_it & use).sum() >= MIN_ON_SIDE:
-                shift[edges.crossings[on_it], axis] = np.median(offsets.offset[on_it & use])
-    return shift
 
 
 def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose: Pose) -> Pose:

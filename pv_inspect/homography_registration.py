@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pv_inspect.alignment import normal_equations
 from pv_inspect.calibration import conventional_focal_length
 from pv_inspect.camera import Camera
-from pv_inspect.detection import Crossings
+from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.registration import LEFT_OUT, Registration, module_mean

@@ -16,7 +16,8 @@ import numpy as np
 from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.cells import CellTiles, cut_cells
 from pv_inspect.cracks import CrackMap, read_cracks
-from pv_inspect.detection import Crossings, detect
+from pv_inspect.crossings import Crossings
+from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout

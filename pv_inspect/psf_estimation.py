@@ -24,12 +24,12 @@ __all__ = ["View", "estimate_psf_sigma", "window_of"]
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-_CANDIDATES = (0.25, 0.37, 0.49, 0.61, 0.73, 0.85, 1.0, 1.25)
-_REFINEMENT = 0.06
-# The residual is judged with a weaker prior than the image: a strong one takes part of the blur
-# that the eye would like to have removed for its own, and the estimate comes out too narrow. Frames
-# with motion blur say less of detail: the prior must weigh less by as much.
-_PRIOR_SHARE = 0.5
+# Mean and spread of the optical sigma of lenses that are in focus, LR px.
+_EXPECTED = (0.45, 0.12)
+# Where the search begins, its steps and its limits, LR px.
+_FIRST_SIGMA, _STEP, _RANGE = 0.49, 0.06, (0.13, 1.5)
+# Weight of the prior that the search begins with, and its limits.
+_FIRST_WEIGHT, _LEAST_WEIGHT, _LARGEST_WEIGHT = 0.015, 1e-4, 1.0
 _HELD_OUT = 0.1
 _ITERATIONS = 25
 # Residuals beyond this many sigma are outliers and count as this many.
@@ -126,7 +126,7 @@ def cut_view(
 
 
 def estimate_psf_sigma(
-    camera: Camera, window: HrGrid, views: list[View], prior_weight: float
+    camera: Camera, window: HrGrid, views: list[View]
 ) -> Generator[float, None, float]:
     """Find the optical sigma that predicts held-out pixels best.
 
@@ -136,7 +136,6 @@ def estimate_psf_sigma(
     window : HrGrid
         See `window_of`.
     views : list of View
-    prior_weight : float
 
     Yields
     ------
@@ -148,6 +147,14 @@ def estimate_psf_sigma(
     float
         Optical sigma, LR px: the vertex of the parabola through the best candidate and its
         neighbours.
+
+    Notes
+    -----
+    A stronger prior wants a narrower PSF for the same contrast between neighbours: prior weight and
+    sigma are therefore found together, the best sigma of every weight, then the best weight. Where
+    noise or motion leaves sigma open, what lenses usually do decides: n times the mean residual is
+    -2 log likelihood, to which ((sigma - 0.45) / 0.12)^2 is added. Motion of less than about a
+    pixel is no motion to the model; the sigma that is found contains it.
     """
     rng = np.random.default_rng(_SEED)
     train, test = [], []
@@ -155,24 +162,38 @@ def estimate_psf_sigma(
         held_out = rng.random(view.g.shape) < _HELD_OUT
         train.append(np.where(held_out, np.float32(0), view.weights))
         test.append(np.where(held_out, view.weights, np.float32(0)))
-    scores: dict[float, float] = {}
-    share = _PRIOR_SHARE * detail_left(np.array([view.motion for view in views]))
+    n_judged = max(sum(int((weights > 0).sum()) for weights in test), 1)
+    scores: dict[tuple[float, float], float] = {}
 
-    def judge(sigma: float) -> None:
-        scores[sigma] = _held_out_residual(
-            camera, window, views, train, test, sigma, share * prior_weight
-        )
+    def judge(sigma: float, weight: float) -> float:
+        key = (sigma, weight)
+        if key not in scores:
+            residual = _held_out_residual(camera, window, views, train, test, sigma, weight)
+            scores[key] = residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
+        return scores[key]
 
-    for k, sigma in enumerate(_CANDIDATES):
-        judge(sigma)
-        yield 0.8 * (k + 1) / len(_CANDIDATES)
-        if k >= 2 and all(scores[c] > min(scores.values()) for c in _CANDIDATES[k - 1 : k + 1]):
-            break
-    best = min(scores, key=scores.__getitem__)
-    for sigma in (best - _REFINEMENT, best + _REFINEMENT):
-        judge(sigma)
-        yield 0.9
-    return _vertex(scores)
+    def profile(weight: float, start: float) -> tuple[float, float]:
+        """Best score at one weight, and its sigma: downhill in steps from a start."""
+        sigma = start
+        while True:
+            around = [sigma + d for d in (-_STEP, 0.0, _STEP)]
+            best = int(np.argmin([judge(a, weight) for a in around]))
+            if best == 1 or not _RANGE[0] < around[best] < _RANGE[1]:
+                return judge(sigma, weight), sigma
+            sigma = around[best]
+
+    # Frames with motion blur say less of detail: the prior must weigh less by as much.
+    weight = _FIRST_WEIGHT * detail_left(np.array([view.motion for view in views]))
+    score, sigma = profile(weight, _FIRST_SIGMA)
+    yield 0.5
+    for factor in (0.5, 2.0):
+        while _LEAST_WEIGHT < weight < _LARGEST_WEIGHT:
+            other, at = profile(weight * factor, sigma)
+            yield 0.75
+            if other >= score:
+                break
+            score, sigma, weight = other, at, weight * factor
+    return _vertex({s: score for (s, w), score in scores.items() if w == weight})
 
 
 def _held_out_residual(

@@ -36,8 +36,6 @@ _NO_CURVE: Curve = ()
 _TYPICAL_SIGMA = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
-# lambda of the squared differences that the PSF is estimated with.
-_PSF_PRIOR_WEIGHT = 0.07
 # Steps after which the solver is usually near its end; for the progress only.
 _TYPICAL_STEPS = 25.0
 # Solver steps to the module image that the sensor is judged by.
@@ -158,22 +156,21 @@ def reconstruct(
     if settings.motion_blur == "auto":
         yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
+    photometry: Photometry | None = None
+    look: Image | None = None
+    if settings.second_look:
+        known = settings.psf_sigma_lr_px or _TYPICAL_SIGMA
+        first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
+        photometry, look = yield from _first_look(first, used, settings)
+        del first
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, grid, rays, motion)
-    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion)
+        sigma = yield from _estimate_psf(sequence, registration, photometry, grid, rays, motion)
+    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, look)
     windows = windows_of(grid) if settings.prior_weight is None else []
-    begin, end = (0.2, 0.3) if settings.second_look else (0.2, 0.5)
-    trials = yield from _all_added(data, used, windows, begin, end)
-    if data.equations.n_pixels == 0:
-        raise InspectionError(
-            "None of the registered frames shows any part of the module: check rows, cols and the "
-            "crossing points."
-        )
-    start = first_guess(data.equations)
-    if settings.second_look:
-        data, start = yield from _first_look(data, start, settings)
-        trials = yield from _all_added(data, used, windows, 0.42, 0.5)
+    trials = yield from _all_added(data, used, windows, 0.4, 0.5)
+    _need_pixels(data)
+    start = first_guess(data.equations) if look is None else look
     weight, curve = settings.prior_weight, _NO_CURVE
     if weight is None:
         weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
@@ -303,13 +300,16 @@ def _all_added(
 
 
 def _first_look(
-    data: Accumulation, start: Image, settings: Settings
-) -> Generator[Progress, None, tuple[Accumulation, Image]]:
-    """Look at the module once to learn what the sensor does, and begin anew.
+    data: Accumulation, frames: NDArray[np.intp], settings: Settings
+) -> Generator[Progress, None, tuple[Photometry, Image]]:
+    """Look at the module once to learn what the sensor does.
 
-    Returns data without a frame as yet, and the image as it is without the vignetting.
+    Returns what it does, and the image as it is without the vignetting.
     """
     model, registration = data.equations.model, data.registration
+    yield from _all_added(data, frames, [], 0.05, 0.12)
+    _need_pixels(data)
+    start = first_guess(data.equations)
     weight = settings.prior_weight
     if weight is None:
         weight = typical_prior_weight(settings.prior)
@@ -317,7 +317,7 @@ def _first_look(
     look = start
     for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
         look = np.asarray(state.image, np.float32)
-        yield Progress(0.3 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
+        yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
     steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
     while True:
         try:
@@ -325,9 +325,16 @@ def _first_look(
         except StopIteration as end:
             photometry: Photometry = end.value
             break
-        yield Progress(0.38 + 0.04 * share, "telling the sensor from the scene")
-    look = look / mean_illumination(photometry, registration, model)
-    return data.again(look, photometry), look
+        yield Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
+    return photometry, look / mean_illumination(photometry, registration, model)
+
+
+def _need_pixels(data: Accumulation) -> None:
+    if data.equations.n_pixels == 0:
+        raise InspectionError(
+            "None of the registered frames shows any part of the module: check rows, cols and the "
+            "crossing points."
+        )
 
 
 def _choose_prior_weight(
@@ -346,6 +353,7 @@ def _choose_prior_weight(
 def _estimate_psf(
     sequence: Sequence,
     registration: Registration,
+    photometry: Photometry | None,
     grid: HrGrid,
     rays: SensorRays,
     motion: NDArray[np.float64],
@@ -359,23 +367,23 @@ def _estimate_psf(
     look = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
     smooth = cv2.GaussianBlur(look, (0, 0), max(grid.magnification / 2, 0.5))
     window = window_of(grid, np.asarray(smooth, np.float32))
-    yield Progress(0.04, "estimating the PSF")
+    yield Progress(0.25, "estimating the PSF")
     views = []
     for i in used:
-        g, weights = observed(sequence, registration, int(i))
+        g, weights = observed(sequence, registration, int(i), photometry)
         view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i])
         if view is not None:
             views.append(view)
     if not views:
         return _TYPICAL_SIGMA
-    estimate = estimate_psf_sigma(camera, window, views, _PSF_PRIOR_WEIGHT)
+    estimate = estimate_psf_sigma(camera, window, views)
     while True:
         try:
             share = next(estimate)
         except StopIteration as end:
             sigma: float = end.value
             return sigma
-        yield Progress(0.05 + 0.15 * share, "estimating the PSF")
+        yield Progress(0.25 + 0.15 * share, "estimating the PSF")
 
 
 def brightness_of(image: Image, grid: HrGrid) -> float:

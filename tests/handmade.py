@@ -13,7 +13,7 @@ from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
 from pv_inspect.cells import cut_cells
 from pv_inspect.cracks import CrackMap, measure_cell
-from pv_inspect.detection import Crossings, FrameCrossings
+from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.pipeline import Inspection
 from pv_inspect.reconstruction import Reconstruction

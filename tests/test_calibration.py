@@ -14,7 +14,7 @@ from pv_inspect.calibration import (
     focal_length_source,
 )
 from pv_inspect.camera import Camera
-from pv_inspect.detection import Crossings, FrameCrossings
+from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.settings import Settings

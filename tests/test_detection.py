@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.detection import Crossings, FrameCrossings, _side_shifts, detect
+from pv_inspect.crossings import Crossings, FrameCrossings, _side_shifts
+from pv_inspect.detection import detect
 from pv_inspect.edges import EdgeOffsets, cell_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout

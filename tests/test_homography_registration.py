@@ -11,7 +11,8 @@ import pytest
 
 from pv_inspect import homography_registration
 from pv_inspect.calibration import calibrate
-from pv_inspect.detection import Crossings, FrameCrossings, detect
+from pv_inspect.crossings import Crossings, FrameCrossings
+from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.registration import Registration, register

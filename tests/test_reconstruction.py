@@ -226,7 +226,7 @@ def test_psf_width_is_found_from_held_out_pixels() -> None:
             strict=True,
         )
     ]
-    assert drain(estimate_psf_sigma(CAMERA, grid, views, 0.07)) == pytest.approx(SIGMA, rel=0.2)
+    assert drain(estimate_psf_sigma(CAMERA, grid, views)) == pytest.approx(SIGMA, rel=0.1)
 
 
 def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:
