@@ -142,9 +142,10 @@ def _ended(
     if not inside[y[n], x[n]]:
         return np.vstack([chain, ahead[n : n + 1]])
     back = np.rint(chain[-1 - reach]).astype(int)
-    # The distance transform knows the width of a thin line to a pixel only, its area better.
+    # The distance transform makes thin lines thinner than they are, the area, which has the ends
+    # and the rough edges in it, thicker: the mean of both.
     here = float(radius[back[0], back[1]])
-    missing = n * _MARCH_PX - min(max(half_width, here - 0.5), here)
+    missing = n * _MARCH_PX - 0.5 * (min(max(half_width, here - 0.5), here) + here - 0.5)
     if missing > 0:
         return np.vstack([chain, chain[-1:] + missing * way])
     along = np.concatenate([[0.0], np.hypot(*np.diff(chain, axis=0).T).cumsum()])
