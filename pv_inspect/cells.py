@@ -23,10 +23,13 @@ class CellTiles:
         Tile of every cell, full scale = 1; h x w pixels are one cell pitch.
     grid : HrGrid
         Where the tiles lie: ``grid.cell_slices(row, col)``.
+    support : (rows, cols, h, w) float32, optional
+        Tiles of the support map, as far as there is one.
     """
 
     images: NDArray[np.float32]
     grid: HrGrid
+    support: NDArray[np.float32] | None = None
 
     def assemble(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
         """Put maps of all cells back into place on the HR grid; the margin is 0.
@@ -61,5 +64,9 @@ def cut_cells(reconstruction: Reconstruction) -> CellTiles:
     """
     grid, image = reconstruction.grid, reconstruction.image
     rows, cols = grid.layout.rows, grid.layout.cols
-    tiles = [[image[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)]
-    return CellTiles(np.array(tiles, dtype=np.float32), grid)
+
+    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
+        tiles = [[whole[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)]
+        return np.array(tiles, dtype=np.float32)
+
+    return CellTiles(cut(image), grid, cut(reconstruction.support))

@@ -1,4 +1,4 @@
-"""The command line: ``pv-inspect run | simulate | gui``."""
+"""The command line: ``pv-inspect run | cracks | simulate | gui``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from pv_inspect import __version__
+from pv_inspect import __version__, cli_cracks
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 
@@ -160,6 +160,8 @@ def run(
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
     motion_blur: Annotated[str | None, _option("motion_blur")] = None,
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
+    detector: Annotated[str | None, _option("detector")] = None,
+    cell_width_mm: Annotated[float | None, _option("cell_width_mm")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
     flat_frame: Annotated[Path | None, _option("flat_frame")] = None,
     second_look: Annotated[
@@ -209,6 +211,8 @@ def run(
             "second_look": second_look,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,
+            "detector": detector,
+            "cell_width_mm": cell_width_mm,
         }
         settings = Settings.from_toml(settings_file) if settings_file else Settings()
         settings = settings.changed(**{k: v for k, v in given.items() if v is not None})
@@ -223,6 +227,36 @@ def run(
         write_result(inspection, out)
         if not quiet:
             typer.echo(_summary(inspection, out, perf_counter() - begun))
+
+
+@app.command()
+def cracks(
+    images: cli_cracks.Images,
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", help="Folder for the maps and cells.csv.", show_default=False),
+    ],
+    crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
+    detector: Annotated[str | None, _option("detector")] = None,
+    cell_width_mm: Annotated[float | None, _option("cell_width_mm")] = None,
+    model: cli_cracks.Model = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Look for cracks in plain images of cells.
+
+    Writes for each image a map of the crack probability (float32 TIFF of the same size and stem)
+    and cells.csv with the features of all cells.
+    """
+    with _one_sentence(debug):
+        given = {
+            "crack_threshold": crack_threshold,
+            "detector": detector,
+            "cell_width_mm": cell_width_mm,
+        }
+        settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
+        if not cli_cracks.cracks_of(images, out, settings, model, quiet=quiet):
+            raise typer.Exit(1)
 
 
 @app.command()

@@ -234,7 +234,12 @@ def _marks(cracks: CrackMap, grid: HrGrid) -> NDArray[np.float32]:
     for cell in cracks.cells:
         where = grid.cell_slices(cell.row, cell.col)
         if cell.crack_suspected:
-            found = crack_marks(cracks.probability[where], cracks.threshold, grid.pixels_per_unit)
+            found = crack_marks(
+                cracks.probability[where],
+                cracks.threshold,
+                grid.pixels_per_unit,
+                cracks.least_extent_cells,
+            )
             for mark in found:
                 marks[where][mark] = 1.0
     return marks

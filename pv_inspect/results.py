@@ -20,6 +20,7 @@ from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
 from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
@@ -48,13 +49,6 @@ RESULT_FILES = (
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
 _TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
-_FEATURES = (
-    "crack_length_cells",
-    "crack_instances",
-    "dark_area_share",
-    "mean_intensity",
-    "crack_score",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,11 +325,10 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
 def _csv(cells: tuple[CellFeatures, ...]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "col", "tile", *_FEATURES])
+    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class"])
     for cell in cells:
         tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
-        values = [f"{getattr(cell, name):.6g}" for name in _FEATURES]
-        writer.writerow([cell.row + 1, cell.col + 1, tile, *values])
+        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), cell.crack_class])
     return text.getvalue()
 
 
@@ -349,15 +342,7 @@ def _read_image(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.
 
 def _cells_from(text: str) -> tuple[CellFeatures, ...]:
     return tuple(
-        CellFeatures(
-            row=int(line["row"]) - 1,
-            col=int(line["col"]) - 1,
-            crack_length_cells=float(line["crack_length_cells"]),
-            crack_instances=int(line["crack_instances"]),
-            dark_area_share=float(line["dark_area_share"]),
-            mean_intensity=float(line["mean_intensity"]),
-            crack_score=float(line["crack_score"]),
-        )
+        from_texts(int(line["row"]) - 1, int(line["col"]) - 1, line)
         for line in csv.DictReader(io.StringIO(text))
     )
 

@@ -191,13 +191,27 @@ class Settings(BaseModel):
         ge=1,
         le=1000,
     )
-    crack_threshold: Finite = _tunable(
-        0.5,
+    crack_threshold: Finite | None = _tunable(
+        None,
         Stage.CRACKS,
         "probability",
-        "Probability above which a pixel counts as crack.",
+        "Probability above which a pixel counts as crack; the detector's own if not given.",
         ge=0,
         le=1,
+    )
+    detector: Literal["network", "ridge"] = _tunable(
+        "network",
+        Stage.CRACKS,
+        "1",
+        "What finds the cracks: a small network trained on labelled cells, or ridge filters.",
+    )
+    cell_width_mm: Finite | None = _tunable(
+        None,
+        Stage.CRACKS,
+        "mm",
+        "Pitch of the cells along a row; crack lengths are then given in mm as well.",
+        gt=0,
+        le=1000,
     )
 
     @classmethod

@@ -6,14 +6,22 @@ What finds the cracks is exchangeable: anything with the two members of `CrackDe
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
-from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell
+from pv_inspect.cracks.features import (
+    CLASS_RULE,
+    CellFeatures,
+    OperatingPoint,
+    crack_marks,
+    measure_cell,
+)
+from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
+from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.settings import Settings
 
@@ -21,11 +29,19 @@ from pv_inspect.settings import Settings
 _LEAST_BRIGHTNESS = 0.7
 
 __all__ = [
+    "CLASS_RULE",
+    "BusbarFinder",
     "CellFeatures",
     "CrackDetector",
     "CrackMap",
+    "NetworkDetector",
+    "Operated",
+    "OperatingPoint",
     "RidgeDetector",
     "crack_marks",
+    "detector_of",
+    "measure_cell",
+    "operating_point_of",
     "read_cracks",
 ]
 
@@ -44,6 +60,23 @@ class CrackDetector(Protocol):
         """
 
 
+@runtime_checkable
+class Operated(Protocol):
+    """A detector that has an operating point of its own."""
+
+    @property
+    def operating_point(self) -> OperatingPoint:
+        """From when on its answer counts as a crack."""
+
+
+@runtime_checkable
+class BusbarFinder(Protocol):
+    """A detector that sees the busbars as well."""
+
+    def read(self, tile: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return crack probability and busbar probability of every pixel of a tile."""
+
+
 @dataclass(frozen=True, eq=False)
 class CrackMap:
     """Where cracks are suspected.
@@ -57,12 +90,33 @@ class CrackMap:
     detector : str
     cells : tuple of CellFeatures
         Row-major.
+    least_extent_cells : float
+        Marks that are shorter count as no crack in ``cells``.
     """
 
     probability: NDArray[np.float32]
     threshold: float
     detector: str
     cells: tuple[CellFeatures, ...]
+    least_extent_cells: float = OperatingPoint.least_extent_cells
+
+
+def detector_of(settings: Settings) -> CrackDetector:
+    """Return the detector that the settings ask for.
+
+    Raises
+    ------
+    InspectionError
+        If its model is missing or altered.
+    """
+    return RidgeDetector() if settings.detector == "ridge" else NetworkDetector()
+
+
+def operating_point_of(detector: CrackDetector, settings: Settings) -> OperatingPoint:
+    """Operating point of a detector with the threshold of the settings, if they have one."""
+    own = detector.operating_point if isinstance(detector, Operated) else OperatingPoint()
+    threshold = settings.crack_threshold
+    return own if threshold is None else replace(own, threshold=threshold)
 
 
 def read_cracks(
@@ -74,9 +128,9 @@ def read_cracks(
     ----------
     tiles : CellTiles
     settings : Settings
-        ``crack_threshold`` is used.
+        ``detector``, ``crack_threshold`` and ``cell_width_mm`` are used.
     detector : CrackDetector, optional
-        `RidgeDetector` if not given.
+        The one that the settings ask for if not given.
 
     Yields
     ------
@@ -86,29 +140,52 @@ def read_cracks(
     Returns
     -------
     CrackMap
+
+    Raises
+    ------
+    InspectionError
+        If the model of the detector is missing or altered.
     """
-    detector = detector if detector is not None else RidgeDetector()
+    detector = detector if detector is not None else detector_of(settings)
+    point = operating_point_of(detector, settings)
     images = tiles.images
     rows, cols = images.shape[:2]
     usual = float(np.median(images))
     maps = np.zeros_like(images, dtype=np.float32)
-    cells = []
-    for row, col in np.ndindex(rows, cols):
-        tile = images[row, col]
-        maps[row, col] = np.clip(detector.probability(_lifted(tile, usual)), 0.0, 1.0)
-        cells.append(
-            measure_cell(
-                tile,
-                maps[row, col],
-                settings.crack_threshold,
-                row=row,
-                col=col,
-                cell_width_px=tiles.grid.pixels_per_unit,
-                usual_intensity=usual,
-            )
+    bars = np.zeros(images.shape[2:], np.float32)
+    for n, (row, col) in enumerate(np.ndindex(rows, cols), start=1):
+        tile = _lifted(images[row, col], usual)
+        if isinstance(detector, BusbarFinder):
+            probability, bar = detector.read(tile)
+            bars += bar / (rows * cols)
+        else:
+            probability = detector.probability(tile)
+        maps[row, col] = np.clip(probability, 0.0, 1.0)
+        yield n / (rows * cols)
+    # All cells of a module have the same busbars: together they show them better than one by one.
+    if isinstance(detector, BusbarFinder):
+        busbars = busbars_from_map(bars)
+    else:
+        busbars = busbars_from_image(images.mean((0, 1), dtype=np.float32))
+    cells = tuple(
+        measure_cell(
+            images[row, col],
+            maps[row, col],
+            point.threshold,
+            row=row,
+            col=col,
+            cell_width_px=tiles.grid.pixels_per_unit,
+            usual_intensity=usual,
+            busbars=busbars,
+            cell_width_mm=settings.cell_width_mm,
+            least_extent_cells=point.least_extent_cells,
+            support=None if tiles.support is None else tiles.support[row, col],
         )
-        yield len(cells) / (rows * cols)
-    return CrackMap(tiles.assemble(maps), settings.crack_threshold, detector.name, tuple(cells))
+        for row, col in np.ndindex(rows, cols)
+    )
+    return CrackMap(
+        tiles.assemble(maps), point.threshold, detector.name, cells, point.least_extent_cells
+    )
 
 
 def _lifted(tile: NDArray[np.float32], usual: float) -> NDArray[np.float32]:

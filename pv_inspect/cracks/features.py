@@ -2,20 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from skimage.morphology import thin
 
-__all__ = ["CellFeatures", "crack_marks", "measure_cell", "skeleton_length"]
+from pv_inspect.cracks.centreline import branches, length_of
+from pv_inspect.cracks.isolation import Busbars, isolated_share
+
+__all__ = [
+    "CLASS_RULE",
+    "FEATURES",
+    "CellFeatures",
+    "OperatingPoint",
+    "crack_marks",
+    "from_texts",
+    "measure_cell",
+    "texts",
+]
+
+CLASS_RULE = """\
+dark    at least half of the cell is dark: cracks are not judged
+none    no mark that a crack could have made
+A       cracks that cut off less than 1 % of the cell even if no current crossed them, or what they
+        would cut off is at least 0.8 times as bright as the rest: connected
+B       what the cracks would cut off is 0.4 to 0.8 times as bright as the rest: badly connected
+C       it is less than 0.4 times as bright as the rest: cut off
+unknown cracks, but no busbars were found
+"""
 
 # A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
-# smallest rectangle in cell widths, and that side over the other one; a large mark may be a
-# crack that branches and need not be slender.
-MIN_EXTENT_CELLS = 0.15
+# smallest rectangle over the other one; a large mark (cell widths) may be a crack that branches
+# and need not be slender.
 MIN_SLENDERNESS = 2.0
 _LARGE_EXTENT_CELLS = 0.25
 # A cell that is dark in at least this share has no current through it: what looks like a crack in
@@ -28,10 +49,26 @@ _DARK_LEVEL = 0.5
 # The score looks at as many pixels as a mark of this length and width has.
 _SCORE_LENGTH_CELLS = 0.1
 _SCORE_WIDTH_CELLS = 0.01
+# Classes: less than this share of the cell counts as nothing cut off, and brightness of what would
+# be cut off relative to the rest of the cell.
+_LEAST_ISOLATED = 0.01
+_CONNECTED, _DISCONNECTED = 0.8, 0.4
 
-_ORTHOGONAL = ((0, 1), (1, 0), (0, -1), (-1, 0))
-_DIAGONAL = ((1, 1), (1, -1), (-1, -1), (-1, 1))
-_Pixel = tuple[int, int]
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """From when on a detector's answer counts as a crack.
+
+    Parameters
+    ----------
+    threshold : float
+        Least probability of a pixel.
+    least_extent_cells : float
+        Least length of a mark, cell widths.
+    """
+
+    threshold: float = 0.5
+    least_extent_cells: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -55,6 +92,21 @@ class CellFeatures:
     crack_score : float
         In [0, 1]: mean probability of the most suspicious pixels, as many as a crack of a tenth
         of the cell's width has. It does not depend on the threshold.
+    crack_branches : int
+        Pieces of the centre lines between ends and junctions.
+    crack_length_mm : float
+        ``crack_length_cells`` in millimetres; NaN if the size of the cell is not known.
+    largest_dark_share : float
+        Largest connected part of ``dark_area_share``.
+    isolated_area_share : float
+        Share of the cell that the cracks would cut off from every busbar in the worst case
+        (`isolated_share`); NaN if no busbars were found.
+    isolated_brightness : float
+        Mean brightness there divided by that of the rest of the cell; NaN if nothing is cut off.
+    crack_support : float
+        Mean support of the image on the marks, or over the cell if there are none: the share of
+        its finest detail that the frames have determined. Where it is low, fine cracks can
+        neither be trusted nor excluded. NaN if no support map is known.
     """
 
     row: int
@@ -64,6 +116,12 @@ class CellFeatures:
     dark_area_share: float
     mean_intensity: float
     crack_score: float
+    crack_branches: int = 0
+    crack_length_mm: float = float("nan")
+    largest_dark_share: float = 0.0
+    isolated_area_share: float = float("nan")
+    isolated_brightness: float = float("nan")
+    crack_support: float = float("nan")
 
     @property
     def crack_suspected(self) -> bool:
@@ -75,9 +133,60 @@ class CellFeatures:
         """Whether most of the cell is dark, so that its cracks are not judged."""
         return self.dark_area_share >= _DARK_CELL_SHARE
 
+    @property
+    def crack_class(self) -> str:
+        """Class after `CLASS_RULE`; A, B and C are the modes of Koentges et al. [1]_.
+
+        References
+        ----------
+        .. [1] M. Koentges et al., "The risk of power loss in crystalline silicon based
+               photovoltaic modules due to micro-cracks", Solar Energy Materials and Solar
+               Cells 95, 2011. doi:10.1016/j.solmat.2010.10.034
+        """
+        if self.dark:
+            return "dark"
+        if not self.crack_suspected:
+            return "none"
+        if math.isnan(self.isolated_area_share):
+            return "unknown"
+        if self.isolated_area_share < _LEAST_ISOLATED or math.isnan(self.isolated_brightness):
+            return "A"
+        if self.isolated_brightness >= _CONNECTED:
+            return "A"
+        return "B" if self.isolated_brightness >= _DISCONNECTED else "C"
+
+
+# Names of the features, as in tables.
+FEATURES = tuple(spec.name for spec in fields(CellFeatures))[2:]
+
+
+def texts(cell: CellFeatures) -> list[str]:
+    """Features in the order of `FEATURES`, for a table."""
+    return [f"{getattr(cell, name):.6g}" for name in FEATURES]
+
+
+def from_texts(row: int, col: int, line: Mapping[str, str]) -> CellFeatures:
+    """Read features from a line of a table; what a table of an older version lacks is unknown.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError
+        If a value is missing or no number.
+    """
+    counts = {spec.name for spec in fields(CellFeatures) if spec.type == "int"}
+    values = {
+        name: int(line[name]) if name in counts else float(line[name])
+        for name in FEATURES
+        if name in line
+    }
+    return CellFeatures(row=row, col=col, **values)  # type: ignore[arg-type]
+
 
 def crack_marks(
-    probability: NDArray[np.float32], threshold: float, cell_width_px: float
+    probability: NDArray[np.float32],
+    threshold: float,
+    cell_width_px: float,
+    least_extent_cells: float = OperatingPoint.least_extent_cells,
 ) -> list[NDArray[np.bool_]]:
     """Find the marks of a cell that a crack could have made.
 
@@ -89,26 +198,28 @@ def crack_marks(
         Pixels with at least this probability belong to marks.
     cell_width_px : float
         Pixels per cell width.
+    least_extent_cells : float
+        Cell widths.
 
     Returns
     -------
     list of (h, w) bool
-        8-connected; the smallest rectangle around each is at least 0.15 cell widths long, and
-        twice as long as wide unless it is longer than 0.25.
+        8-connected; the smallest rectangle around each is at least ``least_extent_cells`` long,
+        and twice as long as wide unless it is longer than 0.25 cell widths.
     """
     mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
     n_labels, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     marks = []
     for k in range(1, n_labels):
         x, y, width, height, _ = boxes[k]
-        if np.hypot(width, height) < MIN_EXTENT_CELLS * cell_width_px:
+        if np.hypot(width, height) < least_extent_cells * cell_width_px:
             continue
         pixels = np.argwhere(labels[y : y + height, x : x + width] == k).astype(np.float32)
         # The rectangle goes through the centres of pixels, which reach half a pixel further.
         short, long = sorted(side + 1 for side in cv2.minAreaRect(pixels)[1])
         extent = long / cell_width_px
         slender = long >= MIN_SLENDERNESS * short or extent >= _LARGE_EXTENT_CELLS
-        if extent >= MIN_EXTENT_CELLS and slender:
+        if extent >= least_extent_cells and slender:
             marks.append(labels == k)
     return marks
 
@@ -122,6 +233,10 @@ def measure_cell(
     col: int,
     cell_width_px: float,
     usual_intensity: float,
+    busbars: Busbars | None = None,
+    cell_width_mm: float | None = None,
+    least_extent_cells: float = OperatingPoint.least_extent_cells,
+    support: NDArray[np.float32] | None = None,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -137,107 +252,85 @@ def measure_cell(
         Pixels per cell width.
     usual_intensity : float
         Median intensity of the module, in the units of ``tile``.
+    busbars : Busbars, optional
+        Where the busbars lie; without them nothing is said about isolated areas.
+    cell_width_mm : float, optional
+    least_extent_cells : float
+        See `crack_marks`.
+    support : (h, w) float32, optional
+        Support map of the cell.
 
     Returns
     -------
     CellFeatures
     """
-    dark_share = _dark_share(tile, usual_intensity, cell_width_px)
+    dark_share, largest_dark = _dark_shares(tile, usual_intensity, cell_width_px)
     readable = dark_share < _DARK_CELL_SHARE
-    marks = crack_marks(probability, threshold, cell_width_px) if readable else []
+    marks = (
+        crack_marks(probability, threshold, cell_width_px, least_extent_cells) if readable else []
+    )
+    chains = [chain for mark in marks for chain in branches(mark)]
+    length = sum(length_of(chain) for chain in chains) / cell_width_px
+    isolated, brightness = _isolated(tile, marks, busbars)
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)
     n_score = min(max(n_score, 1), probability.size)
     highest = np.partition(probability, probability.size - n_score, axis=None)[-n_score:]
     return CellFeatures(
         row=row,
         col=col,
-        crack_length_cells=float(sum(skeleton_length(mark) for mark in marks) / cell_width_px),
+        crack_length_cells=float(length),
         crack_instances=len(marks),
         dark_area_share=dark_share,
         mean_intensity=float(tile.mean(dtype=np.float64)),
         crack_score=float(highest.mean(dtype=np.float64)),
+        crack_branches=len(chains),
+        crack_length_mm=float("nan") if cell_width_mm is None else float(length * cell_width_mm),
+        largest_dark_share=largest_dark,
+        isolated_area_share=isolated,
+        isolated_brightness=brightness,
+        crack_support=_support_on(support, marks),
     )
 
 
-def skeleton_length(mask: NDArray[np.bool_]) -> float:
-    """Length of the centre lines of a mask.
-
-    Parameters
-    ----------
-    mask : (h, w) bool
-
-    Returns
-    -------
-    float
-        Pixels. Branches are followed from end to end and smoothed before they are measured:
-        counting pixels or steps would make the length depend on the direction of the line.
-    """
-    rows, cols = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not rows.size:
-        return 0.0
-    box = mask[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    # Guo and Hall's thinning keeps the ends of diagonal lines, Zhang and Suen's eats them.
-    skeleton = thin(np.pad(box, 1))  # type: ignore[no-untyped-call]
-    points = {(int(y), int(x)) for y, x in np.argwhere(skeleton)}
-    return sum(_smooth_length(path) for path in _paths(points))
+def _support_on(support: NDArray[np.float32] | None, marks: list[NDArray[np.bool_]]) -> float:
+    if support is None:
+        return float("nan")
+    seen = support[np.logical_or.reduce(marks)] if marks else support
+    return float(seen.mean(dtype=np.float64))
 
 
-def _smooth_length(path: list[_Pixel], window: int = 9) -> float:
-    """Length of a chain of pixels after a moving average that leaves its ends where they are."""
-    chain = np.array(path, np.float64)
-    half = min(window // 2, (len(chain) - 1) // 2)
-    if half > 0 and path[0] != path[-1]:
-        padded = np.pad(chain, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
-    elif half > 0:  # a ring
-        padded = np.pad(chain[:-1], ((half, half + 1), (0, 0)), mode="wrap")
-    else:
-        padded = chain
-    kernel = np.full(2 * half + 1, 1.0 / (2 * half + 1))
-    smooth = np.stack([np.convolve(padded[:, k], kernel, mode="valid") for k in (0, 1)], axis=1)
-    return float(np.hypot(*np.diff(smooth, axis=0).T).sum())
+def _isolated(
+    tile: NDArray[np.float32], marks: list[NDArray[np.bool_]], busbars: Busbars | None
+) -> tuple[float, float]:
+    """Share of the cell that would be cut off, and its brightness relative to the rest."""
+    if busbars is None:
+        return float("nan"), float("nan")
+    if not marks:
+        return 0.0, float("nan")
+    share = isolated_share(np.logical_or.reduce(marks), busbars)
+    cut = share == 1
+    border = max(round(_BORDER_CELLS * max(tile.shape)), 1)
+    inside = np.zeros(tile.shape, bool)
+    inside[border:-border, border:-border] = True
+    cut &= inside
+    lines = busbars.lines[:, None] if busbars.horizontal else busbars.lines[None]
+    rest = (share == 0) & ~lines & inside
+    known = bool(cut.any() and rest.any())
+    brightness = tile[cut].mean() / max(float(tile[rest].mean()), 1e-9) if known else math.nan
+    return float(share.mean(dtype=np.float64)), float(brightness)
 
 
-def _neighbours(points: set[_Pixel]) -> dict[_Pixel, list[_Pixel]]:
-    """Graph of a skeleton; a diagonal step is left out where two orthogonal ones lead there."""
-    graph: dict[_Pixel, list[_Pixel]] = {}
-    for y, x in points:
-        near = [(y + dy, x + dx) for dy, dx in _ORTHOGONAL if (y + dy, x + dx) in points]
-        near += [
-            (y + dy, x + dx)
-            for dy, dx in _DIAGONAL
-            if (y + dy, x + dx) in points
-            and (y + dy, x) not in points
-            and (y, x + dx) not in points
-        ]
-        graph[y, x] = near
-    return graph
-
-
-def _paths(points: set[_Pixel]) -> Iterator[list[_Pixel]]:
-    """Chains of pixels between ends and junctions, then closed rings; every link occurs once."""
-    graph = _neighbours(points)
-    seen: set[frozenset[_Pixel]] = set()
-    nodes = [p for p, near in graph.items() if len(near) != 2]
-    for start in [*nodes, *(p for p, near in graph.items() if len(near) == 2)]:
-        for step in graph[start]:
-            if frozenset((start, step)) in seen:
-                continue
-            path = [start, step]
-            seen.add(frozenset((start, step)))
-            while path[-1] != start and len(graph[path[-1]]) == 2:
-                here = path[-1]
-                following = next(p for p in graph[here] if p != path[-2])
-                seen.add(frozenset((here, following)))
-                path.append(following)
-            yield path
-
-
-def _dark_share(tile: NDArray[np.float32], usual: float, cell_width_px: float) -> float:
+def _dark_shares(
+    tile: NDArray[np.float32], usual: float, cell_width_px: float
+) -> tuple[float, float]:
+    """Shares of the cell: all broad dark areas, and the largest connected one."""
     border = max(round(_BORDER_CELLS * cell_width_px), 1)
     inside = tile[border:-border, border:-border]
     if not inside.size:
-        return 0.0
+        return 0.0, 0.0
     dark = (inside < _DARK_LEVEL * usual).astype(np.uint8)
     size = 2 * (round(_DARK_MIN_WIDTH_CELLS * cell_width_px) // 2) + 1
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    return float(cv2.morphologyEx(dark, cv2.MORPH_OPEN, disc).mean())
+    broad = cv2.morphologyEx(dark, cv2.MORPH_OPEN, disc)
+    areas = cv2.connectedComponentsWithStats(broad, connectivity=8)[2][1:, cv2.CC_STAT_AREA]
+    return float(broad.mean()), float(areas.max(initial=0) / broad.size)

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from pv_inspect.cells import cut_cells
-from pv_inspect.cracks import read_cracks
+from pv_inspect.cracks import (
+    NetworkDetector,
+    OperatingPoint,
+    detector_of,
+    operating_point_of,
+    read_cracks,
+)
 from pv_inspect.settings import Settings
 from tests.handmade import made_reconstruction
 
@@ -49,11 +55,33 @@ def test_any_detector_fills_the_map_and_the_features() -> None:
     assert found.cells[1].crack_length_cells == pytest.approx(np.hypot(60, 40) / 80, abs=0.03)
 
 
-def test_the_classical_detector_is_the_default() -> None:
+@pytest.mark.parametrize(("name", "said"), [("network", "network"), ("ridge", "ridge filters")])
+def test_the_detector_is_the_one_of_the_settings(name: str, said: str) -> None:
     tiles = cut_cells(made_reconstruction())
-    _, found = drained(read_cracks(tiles, Settings()))
-    assert found.detector == "oriented ridge filters"
+    _, found = drained(read_cracks(tiles, Settings.create(detector=name)))
+    assert said in found.detector
     assert max(found.cells, key=lambda c: c.crack_score).col == 1
+
+
+def test_the_network_is_the_default() -> None:
+    assert isinstance(detector_of(Settings()), NetworkDetector)
+
+
+def test_a_threshold_of_the_settings_wins_over_the_detectors_own() -> None:
+    detector = NetworkDetector()
+    assert operating_point_of(detector, Settings()) == detector.operating_point
+    given = operating_point_of(detector, Settings(crack_threshold=0.7))
+    assert given == replace(detector.operating_point, threshold=0.7)
+    assert operating_point_of(BelowLevel(), Settings()) == OperatingPoint(0.5, 0.15)
+
+
+def test_lengths_in_millimetres_need_the_size_of_the_cell() -> None:
+    tiles = cut_cells(made_reconstruction())
+    _, found = drained(read_cracks(tiles, Settings(cell_width_mm=156.0), BelowLevel()))
+    cell = found.cells[1]
+    assert cell.crack_length_mm == pytest.approx(156 * cell.crack_length_cells)
+    _, found = drained(read_cracks(tiles, Settings(), BelowLevel()))
+    assert np.isnan(found.cells[1].crack_length_mm)
 
 
 def test_noise_in_a_dead_cell_is_no_crack() -> None:

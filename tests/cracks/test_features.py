@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.cracks.features import CellFeatures, crack_marks, measure_cell, skeleton_length
+from pv_inspect.cracks.centreline import skeleton_length
+from pv_inspect.cracks.features import (
+    FEATURES,
+    CellFeatures,
+    crack_marks,
+    from_texts,
+    measure_cell,
+    texts,
+)
+from pv_inspect.cracks.isolation import Busbars
 
 SIDE = 200
 
@@ -114,3 +123,81 @@ def test_a_dead_cell_is_dark_against_the_module_not_against_itself() -> None:
     features = measured(np.zeros((SIDE, SIDE), bool), np.full((SIDE, SIDE), 0.05, np.float32))
     assert features.dark_area_share == 1.0
     assert features.mean_intensity == pytest.approx(0.05)
+
+
+def busbars(*centres: int) -> Busbars:
+    lines = np.zeros(SIDE, bool)
+    for centre in centres:
+        lines[centre - 2 : centre + 3] = True
+    return Busbars(True, lines)
+
+
+def with_busbars(mask: np.ndarray, brightness_beyond: float = 0.5) -> CellFeatures:
+    """A cell with busbars at rows 60 and 140 whose part above row 30 has another brightness."""
+    tile = np.full(mask.shape, 0.5, np.float32)
+    tile[:30] = brightness_beyond
+    return measure_cell(
+        tile,
+        mask.astype(np.float32),
+        0.5,
+        row=0,
+        col=0,
+        cell_width_px=SIDE,
+        usual_intensity=0.5,
+        busbars=busbars(60, 140),
+        cell_width_mm=156.0,
+    )
+
+
+def test_isolated_area_and_its_brightness_are_measured() -> None:
+    features = with_busbars(drawn(((0, 30), (199, 30))), 0.2)
+    assert features.isolated_area_share == pytest.approx(30.5 / SIDE, rel=0.01)
+    assert features.isolated_brightness == pytest.approx(0.4, rel=0.02)
+    assert features.crack_branches == 1
+    assert features.crack_length_mm == pytest.approx(156, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("brightness", "expected"), [(0.5, "A"), (0.42, "A"), (0.3, "B"), (0.15, "C"), (0.0, "C")]
+)
+def test_the_class_follows_the_written_rule(brightness: float, expected: str) -> None:
+    assert with_busbars(drawn(((0, 30), (199, 30))), brightness).crack_class == expected
+
+
+def test_classes_without_an_isolated_area() -> None:
+    nothing = np.zeros((SIDE, SIDE), bool)
+    assert with_busbars(nothing).crack_class == "none"
+    assert with_busbars(drawn(((20, 100), (180, 100)))).crack_class == "A"
+    assert measured(drawn(((20, 100), (180, 100)))).crack_class == "unknown"  # no busbars known
+    assert measured(nothing, np.full((SIDE, SIDE), 0.1, np.float32)).crack_class == "dark"
+
+
+def test_the_largest_dark_area_is_one_of_them() -> None:
+    tile = np.full((SIDE, SIDE), 0.5, np.float32)
+    tile[50:90, 60:100] = tile[120:140, 60:80] = 0.1
+    features = measured(np.zeros((SIDE, SIDE), bool), tile)
+    inside = (SIDE - 2 * 8) ** 2
+    assert features.dark_area_share == pytest.approx(2000 / inside, rel=0.05)
+    assert features.largest_dark_share == pytest.approx(1600 / inside, rel=0.05)
+
+
+def test_features_survive_a_table_and_old_tables_can_be_read() -> None:
+    features = with_busbars(drawn(((0, 30), (199, 30))), 0.2)
+    line = dict(zip(FEATURES, texts(features), strict=True))
+    read = from_texts(0, 0, line)
+    assert texts(read) == texts(features)
+    assert isinstance(read.crack_branches, int)
+    old = {name: line[name] for name in FEATURES[:5]}
+    assert np.isnan(from_texts(0, 0, old).isolated_area_share)
+
+
+def test_support_is_that_of_the_marks_or_of_the_cell() -> None:
+    mask = drawn(((20, 20), (180, 20)))
+    support = np.where(mask, 0.2, 0.6).astype(np.float32)
+    arguments = {"row": 0, "col": 0, "cell_width_px": SIDE, "usual_intensity": 0.5}
+    tile = np.full(mask.shape, 0.5, np.float32)
+    on_marks = measure_cell(tile, mask.astype(np.float32), 0.5, support=support, **arguments)
+    assert on_marks.crack_support == pytest.approx(0.2)
+    clean = measure_cell(tile, np.zeros_like(tile), 0.5, support=support, **arguments)
+    assert clean.crack_support == pytest.approx(float(support.mean()))
+    assert np.isnan(measured(mask).crack_support)

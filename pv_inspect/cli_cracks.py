@@ -1,0 +1,108 @@
+"""The command ``pv-inspect cracks``: the crack detector on plain images of cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.settings import Settings
+
+__all__ = ["cracks_of"]
+
+Images = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Images of one cell each (TIFF, PNG, JPEG, BMP; any size, 8 or 16 bit), or folders "
+        "of them.",
+        metavar="IMAGES...",
+        show_default=False,
+    ),
+]
+Model = Annotated[
+    Path | None,
+    typer.Option(
+        "--model",
+        help="ONNX file of a network of one's own, made by pv_inspect.cracks.train, with its JSON "
+        "file beside it; or sharp or weak, networks that are there for comparison.",
+    ),
+]
+
+
+def cracks_of(
+    images: list[Path], out: Path, settings: Settings, model: Path | None, *, quiet: bool
+) -> bool:
+    """Write OUT/STEM.tif for each image and OUT/cells.csv; tell about images that are no cells.
+
+    Parameters
+    ----------
+    images : list of Path
+        Files and folders.
+    out : Path
+    settings : Settings
+    model : Path, optional
+        See `NetworkDetector`.
+    quiet : bool
+        Print nothing but errors.
+
+    Returns
+    -------
+    bool
+        Whether every image could be read.
+
+    Raises
+    ------
+    InspectionError
+        If there are no images, none of them is a cell, the model is unusable, or ``out`` can't
+        be written.
+    """
+    from pv_inspect.cracks import NetworkDetector, detector_of
+    from pv_inspect.cracks.plain import cells_csv, image_files, read_plain_cell, tiff_bytes
+
+    files = image_files(images)
+    if any(path.parent.resolve() == out.resolve() for path in files):
+        raise InspectionError(
+            f"{out} holds the images themselves, which the maps could replace: give another "
+            "folder with --out."
+        )
+    if model is not None and settings.detector != "network":
+        raise InspectionError(
+            f"--model {model} is a network, but the detector is {settings.detector}: leave out "
+            "--detector or --model."
+        )
+    detector = NetworkDetector(model) if model is not None else detector_of(settings)
+    cells, refused = [], 0
+    for path in files:
+        try:
+            cell = read_plain_cell(path, detector, settings)
+        except InspectionError as error:
+            typer.echo(f"pv-inspect: {error}", err=True)
+            refused += 1
+            continue
+        _write(out / f"{cell.stem}.tif", tiff_bytes(cell.probability))
+        cells.append(cell)
+    if cells:
+        _write(out / "cells.csv", cells_csv(cells).encode())
+    if not quiet:
+        suspected = sum(cell.features.crack_suspected for cell in cells)
+        typer.echo(
+            f"cells     {len(cells)}, cracks suspected in {suspected}"
+            + (f"; {refused} images could not be used" if refused else "")
+            + f"\ndetector  {detector.name}\nresults   {out}"
+        )
+    return not refused
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file as a whole or not at all."""
+    part: Any = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        raise InspectionError(
+            f"{path} can't be written ({error.strerror}): give another folder with --out."
+        ) from None
