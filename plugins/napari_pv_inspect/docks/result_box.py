@@ -64,7 +64,7 @@ def summary_text(inspection: Inspection | None) -> str:
     if (made := inspection.reconstruction) is not None:
         height, width = made.image.shape
         lines.append(
-            f"{width} x {height} px, {made.grid.magnification:.2f}x, lambda {made.prior_weight:g}"
+            f"{width} x {height} px, {made.grid.magnification:.2f}x, lambda {made.prior_weight:.3g}"
         )
     if inspection.cracks is not None:
         cells = inspection.cracks.cells
