@@ -79,8 +79,7 @@ def windows_of(grid: HrGrid, side_lr_px: float = _SIDE_LR_PX) -> list[HrGrid]:
         x, y = np.round(grid.to_pixels(np.asarray(at) * grid.layout.size)).astype(int) - side // 2
         x = int(np.clip(x, 0, grid.shape[1] - side))
         y = int(np.clip(y, 0, grid.shape[0] - side))
-        origin = (grid.origin_px[0] - x, grid.origin_px[1] - y)
-        windows.append(replace(grid, origin_px=origin, shape=(side, side)))
+        windows.append(grid.window(slice(y, y + side), slice(x, x + side)))
     return windows
 
 

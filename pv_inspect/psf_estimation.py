@@ -86,8 +86,7 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
     )
     k = int(np.argmax(total))
     y, x = int(ys.ravel()[k]), int(xs.ravel()[k])
-    origin = (grid.origin_px[0] - x, grid.origin_px[1] - y)
-    return HrGrid(grid.layout, grid.pixels_per_unit, origin, (side, side), grid.magnification)
+    return grid.window(slice(y, y + side), slice(x, x + side))
 
 
 def cut_view(
