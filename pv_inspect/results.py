@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -69,6 +69,9 @@ class FrameResult:
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
         Residual in units of the noise.
+    edits : dict
+        (row, col) of the crossing points that a person has set, and where, (x, y) LR px; None for
+        those that were removed.
     """
 
     file: str
@@ -79,6 +82,7 @@ class FrameResult:
     gain: float
     offset: float
     rms: float
+    edits: dict[tuple[int, int], tuple[float, float] | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +252,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
                 "rms": registration.rms[i] if used else None,
                 "residual": reconstruction.residual_rms[i],
                 "motion_px_deg": reconstruction.motion[i] if used else None,
+                "edits": _edits(inspection, i),
             }
         )
     seconds = dict(inspection.seconds)
@@ -281,6 +286,21 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     }
     plain: dict[str, Any] = _plain(record)
     return plain
+
+
+def _edits(inspection: Inspection, i: int) -> list[dict[str, Any]]:
+    """Crossing points of frame i that a person has set, or removed: then ``px`` is None."""
+    if inspection.crossings is None:
+        return []
+    frame, cols = inspection.crossings.frames[i], inspection.layout.cols + 1
+    return [
+        {
+            "row": int(k) // cols,
+            "col": int(k) % cols,
+            "px": frame.points_px[k] if frame.measured[k] else None,
+        }
+        for k in np.flatnonzero(frame.by_hand)
+    ]
 
 
 def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
@@ -363,6 +383,10 @@ def _frame_from(entry: dict[str, Any]) -> FrameResult:
         number("gain"),
         number("offset"),
         number("rms"),
+        {
+            (int(edit["row"]), int(edit["col"])): edit["px"] and (edit["px"][0], edit["px"][1])
+            for edit in entry.get("edits", ())
+        },
     )
 
 

@@ -156,6 +156,12 @@ class WorkbenchModel:
             self.settings = settings
             self.settings_changed.emit(settings)
 
+    def revise(self, inspection: Inspection) -> None:
+        """Show what a person made of the inspection; the next run resumes from it."""
+        if self.run_state is RunState.IDLE:
+            self.inspection, self.draft = inspection, None
+            self.inspection_changed.emit(inspection)
+
     def notice(self, text: str, is_error: bool = False) -> None:
         """Tell the user one sentence."""
         self.noticed.emit(text, is_error)
