@@ -204,15 +204,17 @@ def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calib
         cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
         fit = _fit_without_strangers(bundle, starts, cell, frames)
         homography, rms = fit.homographies[0] @ to_unit, fit.rms_px(0)
-    changed = {
-        "homographies": calibration.homographies.copy(),
-        "rms_px": calibration.rms_px.copy(),
-        "used": calibration.used.copy(),
-    }
-    changed["homographies"][i], changed["rms_px"][i] = homography, rms
-    changed["used"][i] = not frames.why[0]
-    why = (*calibration.why[:i], frames.why[0], *calibration.why[i + 1 :])
-    return replace(calibration, why=why, crossing_sigma_px=None, **changed)
+    homographies, rms_px = calibration.homographies.copy(), calibration.rms_px.copy()
+    used = calibration.used.copy()
+    homographies[i], rms_px[i], used[i] = homography, rms, not frames.why[0]
+    return replace(
+        calibration,
+        homographies=homographies,
+        used=used,
+        why=(*calibration.why[:i], frames.why[0], *calibration.why[i + 1 :]),
+        rms_px=rms_px,
+        crossing_sigma_px=None,
+    )
 
 
 def residual_over_kappa(

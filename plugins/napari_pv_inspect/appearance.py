@@ -47,7 +47,7 @@ PREDICTED_COLOUR = "#D55E00"
 EDITED_COLOUR = "#CC79A7"
 POINT_SYMBOLS = ("disc", "x", "diamond")
 """Of measured, predicted and edited crossing points: not by their colours alone."""
-POINT_SIZES = (6.0, 5.0, 9.0)
+POINT_SIZES = (6.0, 7.0, 9.0)
 """LR px."""
 CRACK_RGB = (1.0, 0.55, 0.0)
 

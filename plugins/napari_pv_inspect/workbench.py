@@ -15,12 +15,16 @@ from superqt.utils import qthrottled
 
 from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.history import History
+from napari_pv_inspect.kappa_curve import KappaCurve
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
+from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.live import LiveKappa
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
+from napari_pv_inspect.point_editor import PointEditor
+from napari_pv_inspect.recalibration import Recalibration
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY, open_sequence
 from napari_pv_inspect.worker import RunController
@@ -53,11 +57,15 @@ class Workbench(QObject):
         self.model = WorkbenchModel()
         self.history = History()
         self.runs = RunController(self.model)
+        self.editor = PointEditor(self.model, self.history)
         self.frames = FramesLayer(viewer, self.model)
         self.geometry = GeometryLayers(viewer, self.model)
         self.module = ModuleLayers(viewer, self.model)
         self.guesser = LayoutGuesser(self.model)
-        self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
+        self.points = PointsLayer(viewer, self.model, self.frames, self.editor)
+        self.live = LiveKappa(viewer, self.model, self.frames, self.geometry, self.editor)
+        self.recalibration = Recalibration(self.model, self.editor)
+        self.kappa_curve = KappaCurve(self.model)
         self.navigator = Navigator(viewer, self.model, self.module)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
@@ -96,6 +104,9 @@ class Workbench(QObject):
         self._show_preview.cancel()
         self._fit_timer.stop()
         self.live.close()
+        self.points.close()
+        self.recalibration.close()
+        self.kappa_curve.close()
         self.guesser.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)

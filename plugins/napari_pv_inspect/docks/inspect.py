@@ -23,6 +23,7 @@ from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.module_box import ModuleBox
+from napari_pv_inspect.docks.points_box import PointsBox
 from napari_pv_inspect.docks.result_box import ResultBox
 from napari_pv_inspect.docks.run_box import RunBox
 from napari_pv_inspect.sample import sample_folder
@@ -51,7 +52,8 @@ class InspectDock(QWidget):
         self.headline = QLabel()
         self.headline.setWordWrap(True)
         self.module = ModuleBox(bench.model)
-        self.lens = LensBox(bench.model, bench.live)
+        self.points = PointsBox(bench)
+        self.lens = LensBox(bench.model, bench.live, bench.kappa_curve)
         self.image = ImageBox(bench.model)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
@@ -64,7 +66,11 @@ class InspectDock(QWidget):
         layout.addWidget(self.headline)
         self.pages = QTabWidget()
         self.add_page(
-            "Grid", "Which module it is, and where its cells are.", self.module, self.lens
+            "Grid",
+            "Which module it is, and where its cells are.",
+            self.module,
+            self.points,
+            self.lens,
         )
         self.add_page("Image", "How the module image is made.", self.image)
         layout.addWidget(self.pages, 1)

@@ -23,6 +23,8 @@ from napari_pv_inspect.point_editor import PointEditor
 __all__ = ["PointsLayer"]
 
 COLOURS = transform_color([look.MEASURED_COLOUR, look.PREDICTED_COLOUR, look.EDITED_COLOUR])
+# Rings leave the crossing visible; thin crosses would not be seen.
+FACES = COLOURS * np.array([[0.0], [1.0], [0.0]])
 DONE = (ActionType.CHANGED, ActionType.ADDED, ActionType.REMOVED)
 
 
@@ -162,6 +164,7 @@ class PointsLayer:
             layer.symbol = np.array(look.POINT_SYMBOLS)[marks.kind]
             layer.size = np.array(look.POINT_SIZES)[marks.kind]
             layer.border_color = COLOURS[marks.kind]
+            layer.face_color = FACES[marks.kind]
         layer.editable = self._model.run_state is RunState.IDLE
 
     @contextmanager
