@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from psygnal import Signal
 
+from napari_pv_inspect.background import NewestAnswer
 from napari_pv_inspect.model import RunState, WorkbenchModel
-from napari_pv_inspect.newest import Newest
 from pv_inspect.calibration import Calibration, residual_over_kappa
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
@@ -55,7 +55,7 @@ class KappaCurve:
         self._model = model
         self.curve: Curve | None = None
         self._of: Calibration | None = None
-        self._newest = Newest(self._on_curve, REST_MS)
+        self._newest = NewestAnswer(self._on_curve, REST_MS)
         model.inspection_changed.connect(self._on_inspection)
 
     @property

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
+from napari_pv_inspect.background import NewestAnswer
 from napari_pv_inspect.model import RunState, WorkbenchModel
-from napari_pv_inspect.newest import Newest
 from napari_pv_inspect.point_editor import PointEditor
 from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.errors import InspectionError
@@ -24,7 +24,7 @@ class Recalibration:
 
     def __init__(self, model: WorkbenchModel, editor: PointEditor) -> None:
         self._model = model
-        self._newest = Newest(self._on_fit, REST_MS)
+        self._newest = NewestAnswer(self._on_fit, REST_MS)
         self._for: Inspection | None = None
         self._editor = editor
         editor.changed.connect(self._on_edit)

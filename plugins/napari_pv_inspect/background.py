@@ -12,12 +12,12 @@ from qtpy.QtCore import QObject, QTimer
 
 from pv_inspect.errors import InspectionError
 
-__all__ = ["Newest"]
+__all__ = ["NewestAnswer"]
 
 log = logging.getLogger(__name__)
 
 
-class Newest(QObject):
+class NewestAnswer(QObject):
     """Runs one piece of work at a time in a thread; a newer request makes older answers void.
 
     Parameters
