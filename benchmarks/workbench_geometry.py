@@ -3,7 +3,7 @@
 A crossing point of the sample module is dragged, in changing frames. *redrawn*: from the release
 of the button until the grid of that frame is painted. *blocked*: the longest time in which the
 window could not answer. *all frames*: until the fit of all frames is shown; it starts 0.3 s after
-the last edit. *in thread*: the longest block while that fit and the curve over kappa are computed
+the last edit. *cpu*: of the window's thread, from the release to the grid. *in thread*: the longest block while that fit and the curve over kappa are computed
 and shown.
 """
 
@@ -46,7 +46,7 @@ def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         points._set_drag_start(points.selected_data, points.data[row])
         heart.restart()
         bent.clear()
-        begun = time.perf_counter()
+        begun, cpu = time.perf_counter(), time.thread_time()
         points._move(points.selected_data, points.data[row] + [0.0, *rng.normal(0.0, 1.5, 2)])
         points._drag_start = None
         settle(2.0, lambda: bool(bent) and any(at > bent[0] for at in painted))
@@ -54,6 +54,7 @@ def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         if not shown:
             sys.exit(f"Edit {number} in frame {frame} was not drawn.")
         times.add("redrawn", 1e3 * (shown[0] - begun))
+        times.add("cpu", 1e3 * (time.thread_time() - cpu))
         times.add("blocked", heart.longest_ms)
         heart.restart()
         settle(10.0, lambda: not bench.recalibration.busy)

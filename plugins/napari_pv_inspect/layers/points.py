@@ -49,6 +49,7 @@ class PointsLayer:
         self._drawn: tuple[object, ...] = ()
         self._layer: Points | None = None
         self._writing = False
+        self._frame = 0
         self._slot = LayerSlot(
             viewer,
             Points,
@@ -116,13 +117,14 @@ class PointsLayer:
 
     def _on_step(self, _: object = None) -> None:
         """Leave what was selected, or half dragged, in the frame that is left."""
-        layer = self._slot.layer
-        if layer is None or self._marks is None:
+        layer, frame = self._slot.layer, self._frames.frame
+        # The event comes too when a point beyond the others widens the range of rows or columns.
+        if layer is None or self._marks is None or frame == self._frame:
             return
+        self._frame = frame
         if len(layer.selected_data):
             layer.selected_data = set()
-        if not np.array_equal(layer.data, self._marks.points):
-            self._draw(anew=True)
+        self._restore()
 
     def _draw(self, anew: bool = False) -> None:
         shown = self._model.shown
@@ -135,10 +137,8 @@ class PointsLayer:
         else:
             source = (crossings, calibration)
             predicted = None if calibration is None else calibration.crossings_px
-        if not anew and _same(source, self._drawn) and self._slot.layer is not None:
-            return
         if not anew and _same(source, self._drawn):
-            return  # The user deleted the layer; the tools bring it back.
+            return  # Also if the user deleted the layer: the tools bring it back.
         self._drawn = source
         marks = crossing_marks(crossings, predicted)
         with self._own_writing():
@@ -187,6 +187,12 @@ class PointsLayer:
         try:
             self._read(event.action, event.data_indices)
         finally:
+            self._restore()
+
+    def _restore(self) -> None:
+        """Draw again unless the layer shows just what the editor made of the change."""
+        marks, layer = self._marks, self._layer
+        if marks is None or layer is None or not np.array_equal(layer.data, marks.points):
             self._draw(anew=True)
 
     def _read(self, action: ActionType, indices: Iterable[int]) -> None:
