@@ -1,10 +1,10 @@
 """From the edit of a crossing point to the grid that follows it.
 
 A crossing point of the sample module is dragged, in changing frames. *redrawn*: from the release
-of the button until the grid of that frame is painted. *blocked*: the longest time in which the
-window could not answer. *all frames*: until the fit of all frames is shown; it starts 0.3 s after
-the last edit. *cpu*: of the window's thread, from the release to the grid. *in thread*: the longest block while that fit and the curve over kappa are computed
-and shown.
+of the button until the grid of that frame is painted. *cpu*: of the window's thread in that time.
+*blocked*: the longest time in which the window could not answer. *all frames*: until the fit of
+all frames is shown; it starts 0.3 s after the last edit. *in thread*: the longest block while that
+fit and the curve over kappa are computed and shown.
 """
 
 from __future__ import annotations
