@@ -8,6 +8,7 @@ import numpy as np
 from napari.components import ViewerModel
 from numpy.typing import NDArray
 from psygnal import Signal
+from qtpy.QtCore import QTimer
 from superqt.utils import qthrottled
 
 from napari_pv_inspect.layers.frames import FramesLayer
@@ -100,12 +101,17 @@ class LiveKappa:
         self._geometry = geometry
         self._editor = editor
         self._throttled = qthrottled(self.update, timeout=THROTTLE_MS)
+        # After an edit the window may answer between the points and the grid.
+        self._soon = QTimer()
+        self._soon.setSingleShot(True)
+        self._soon.timeout.connect(self._throttled)
         model.settings_changed.connect(self._on_settings)
         model.inspection_changed.connect(self._on_inspection)
         viewer.dims.events.current_step.connect(self._on_step)
 
     def close(self) -> None:
         """Let go of the viewer."""
+        self._soon.stop()
         self._throttled.cancel()
         self._viewer.dims.events.current_step.disconnect(self._on_step)
 
@@ -158,7 +164,7 @@ class LiveKappa:
         self._throttled()
 
     def _on_inspection(self, _: Inspection | None) -> None:
-        self._throttled()
+        self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
         self._throttled()
