@@ -68,7 +68,9 @@ class FrameResult:
     gain, offset : float
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
-        Residual in units of the noise.
+        Residual against the mean of the frames, in units of the noise.
+    residual : float
+        Residual against the module image, in units of the noise.
     """
 
     file: str
@@ -79,6 +81,7 @@ class FrameResult:
     gain: float
     offset: float
     rms: float
+    residual: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +104,8 @@ class Result:
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
+    prior_weight, psf_sigma_lr_px : float
+        lambda and optical blur that were used.
     """
 
     folder: Path
@@ -117,6 +122,13 @@ class Result:
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
+    prior_weight: float = float("nan")
+    psf_sigma_lr_px: float = float("nan")
+
+    def _repr_html_(self) -> str:
+        from pv_inspect.display import result_html
+
+        return result_html(self)
 
 
 def tile_name(row: int, col: int) -> str:
@@ -184,6 +196,7 @@ def read_result(folder: Path) -> Result:
         threshold = float(record["crack_threshold"])
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
         made_with = dict(record["versions"])
+        weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
     image = _read_image(folder / "module_hr.tif")
     support = _read_image(folder / "support.tif", image.shape)
     consistency = _read_image(folder / "consistency.tif", image.shape)
@@ -206,6 +219,8 @@ def read_result(folder: Path) -> Result:
         seconds,
         warnings,
         made_with,
+        weight,
+        sigma,
     )
 
 
@@ -363,6 +378,7 @@ def _frame_from(entry: dict[str, Any]) -> FrameResult:
         number("gain"),
         number("offset"),
         number("rms"),
+        number("residual"),
     )
 
 
