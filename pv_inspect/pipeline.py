@@ -183,6 +183,12 @@ class Inspection:
 
         return plot_residuals(self, ax)
 
+    def __repr__(self) -> str:
+        done = [stage.value for stage, name in _FIELD.items() if getattr(self, name) is not None]
+        cells = f"{self.layout.rows} x {self.layout.cols} cells"
+        where = str(self.sequence.source)
+        return f"<Inspection of {where!r}: {cells}; done: {', '.join(done) or 'nothing'}>"
+
     def _repr_html_(self) -> str:
         from pv_inspect.display import inspection_html
 

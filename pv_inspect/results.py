@@ -125,6 +125,10 @@ class Result:
     prior_weight: float = float("nan")
     psf_sigma_lr_px: float = float("nan")
 
+    def __repr__(self) -> str:
+        layout = self.grid.layout
+        return f"<Result in {str(self.folder)!r}: {layout.rows} x {layout.cols} cells>"
+
     def _repr_html_(self) -> str:
         from pv_inspect.display import result_html
 
