@@ -237,6 +237,7 @@ def measure_cell(
     cell_width_mm: float | None = None,
     least_extent_cells: float = OperatingPoint.least_extent_cells,
     support: NDArray[np.float32] | None = None,
+    marks: list[NDArray[np.bool_]] | None = None,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -259,6 +260,8 @@ def measure_cell(
         See `crack_marks`.
     support : (h, w) float32, optional
         Support map of the cell.
+    marks : list of (h, w) bool, optional
+        What a person has marked as cracks, instead of what `crack_marks` finds.
 
     Returns
     -------
@@ -266,9 +269,9 @@ def measure_cell(
     """
     dark_share, largest_dark = _dark_shares(tile, usual_intensity, cell_width_px)
     readable = dark_share < _DARK_CELL_SHARE
-    marks = (
-        crack_marks(probability, threshold, cell_width_px, least_extent_cells) if readable else []
-    )
+    if marks is None:
+        found = crack_marks(probability, threshold, cell_width_px, least_extent_cells)
+        marks = found if readable else []
     chains = [chain for mark in marks for chain in branches(mark)]
     length = sum(length_of(chain) for chain in chains) / cell_width_px
     isolated, brightness = _isolated(tile, marks, busbars)
