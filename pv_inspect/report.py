@@ -13,7 +13,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from pv_inspect.calibration import focal_length_source
-from pv_inspect.cracks import CellFeatures, CrackMap, crack_marks
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap, crack_marks
+from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, length_text, tooltip
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.pipeline import Inspection
@@ -118,6 +119,13 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "rms_median": float(np.median(rms)) if rms.size else float("nan"),
         "suspected": suspected,
         "dark": [cell for cell in cracks.cells if cell.dark],
+        "unsure": [cell for cell in cracks.cells if cell.crack_class == "unsure"],
+        "in_mm": inspection.settings.cell_width_mm is not None,
+        "length_text": length_text,
+        "tooltip": tooltip,
+        "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
+        "class_rule": CLASS_RULE,
+        "earned_rule": EARNED_RULE,
         "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,
