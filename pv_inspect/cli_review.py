@@ -71,6 +71,8 @@ def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool
         lines.append(f"rater     {rater}: {found.text}" + (f"; {counts}" if counts else ""))
     disagreed = sum(said == DISAGREED for said in agreed(verdicts).values())
     if disagreed:
-        lines.append(f"differ    on {disagreed} cells the raters disagree")
+        lines.append(
+            f"differ    the raters disagree on {disagreed} {'cell' if disagreed == 1 else 'cells'}"
+        )
     lines += [f"written   {path}" for path in written]
     typer.echo("\n".join(lines))
