@@ -53,7 +53,7 @@ def main() -> None:
         with ReviewStore(folder) as store:
             timed(
                 "give a verdict",
-                lambda i: store.give(Verdict(i // 10, i % 10, KINDS[i % 8], "Ann")),
+                lambda i: store.give(Verdict(i // 10 % 6, i % 10, KINDS[i % 8], "Ann")),
                 HISTORY,
             )
             timed("undo", lambda _: store.undo("Ann"))

@@ -46,6 +46,11 @@ class _Box:
     height: float
     kinds: tuple[VerdictKind, ...]
 
+    @property
+    def letter(self) -> float:
+        """Side of the square with a letter."""
+        return 0.24 * min(self.width, self.height)
+
 
 def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
     """Write ``verdicts.csv`` and ``review.html`` into the result folder.
