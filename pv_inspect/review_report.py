@@ -12,9 +12,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from pv_inspect.cracks import CellFeatures, crack_marks
+from pv_inspect.cracks import CellFeatures, CrackMap
 from pv_inspect.folders import replace_file
-from pv_inspect.pictures import contrast, grey, jpeg, overlay, shrunk
+from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.results import Result
 from pv_inspect.review.selection import progress
 from pv_inspect.review.store import ReviewStore
@@ -127,7 +127,7 @@ def _content(
     for verdict in verdicts:
         by_cell.setdefault(verdict.cell, {})[verdict.rater] = verdict
     marks = _marks(result, corrected)
-    low, high = contrast(result.image, grid)
+    low, high = contrast_of(result.image, grid)
     picture = grey(shrunk(result.image, _MODULE_PX), low, high)
     close_ups = []
     for cell in result.cells:
@@ -139,8 +139,8 @@ def _content(
             {
                 "cell": cell,
                 "verdicts": said,
-                "image": jpeg(grey(shrunk(result.image[where], _CLOSE_UP_PX), low, high)),
-                "overlay": overlay(marks[where], marks[where], _CLOSE_UP_PX),
+                "image": jpeg_url(grey(shrunk(result.image[where], _CLOSE_UP_PX), low, high)),
+                "overlay": overlay_url(marks[where], marks[where], _CLOSE_UP_PX),
             }
         )
     made_by = fingerprint(result.settings)
@@ -155,9 +155,9 @@ def _content(
         "disagreed": [cell for cell, said in agreed(verdicts).items() if said == DISAGREED],
         "stale": sorted({v.cell for v in verdicts if v.settings and v.settings != made_by}),
         "kinds": list(VerdictKind),
-        "picture": jpeg(picture),
+        "picture": jpeg_url(picture),
         "picture_size": picture.shape[1::-1],
-        "overlay": overlay(marks, marks, _MODULE_PX),
+        "overlay": overlay_url(marks, marks, _MODULE_PX),
         "boxes": _boxes(result, by_cell, picture.shape[1] / grid.shape[1]),
         "close_ups": close_ups[:_N_CLOSE_UPS],
         "n_more": max(len(close_ups) - _N_CLOSE_UPS, 0),
@@ -173,20 +173,19 @@ def _content(
 
 def _marks(result: Result, corrected: Mapping[Cell, Mask]) -> NDArray[np.float32]:
     """1 on the marks of cracks, a person's where there are some."""
-    marks = np.zeros(result.grid.shape, np.float32)
+    cracks = CrackMap(
+        result.cracks,
+        result.crack_threshold,
+        result.detector,
+        result.cells,
+        result.least_extent_cells,
+    )
+    marks = crack_mask(cracks, result.grid)
     for cell in result.cells:
-        where = result.grid.cell_slices(cell.row, cell.col)
+        part = marks[result.grid.cell_slices(cell.row, cell.col)]
         drawn = corrected.get((cell.row, cell.col))
-        if drawn is not None and drawn.shape == marks[where].shape:
-            marks[where][drawn] = 1.0
-        elif cell.crack_suspected:
-            for mark in crack_marks(
-                result.cracks[where],
-                result.crack_threshold,
-                result.grid.pixels_per_unit,
-                result.least_extent_cells,
-            ):
-                marks[where][mark] = 1.0
+        if drawn is not None and drawn.shape == part.shape:
+            part[:] = drawn
     return marks
 
 
