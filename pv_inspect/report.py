@@ -10,7 +10,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pv_inspect.calibration import focal_length_source
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CLASS_RULE, CellFeatures
+from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, length_text, tooltip
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
@@ -114,6 +115,13 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "rms_median": float(np.median(rms)) if rms.size else float("nan"),
         "suspected": suspected,
         "dark": [cell for cell in cracks.cells if cell.dark],
+        "unsure": [cell for cell in cracks.cells if cell.crack_class == "unsure"],
+        "in_mm": inspection.settings.cell_width_mm is not None,
+        "length_text": length_text,
+        "tooltip": tooltip,
+        "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
+        "class_rule": CLASS_RULE,
+        "earned_rule": EARNED_RULE,
         "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,

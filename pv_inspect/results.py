@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, OperatingPoint
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
@@ -101,6 +101,10 @@ class Result:
         Row-major.
     settings : Settings
     crack_threshold : float
+    detector : str
+        Name of what found the cracks.
+    least_extent_cells : float
+        Marks that are shorter count as no crack in ``cells``.
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
@@ -119,6 +123,8 @@ class Result:
     cells: tuple[CellFeatures, ...]
     settings: Settings
     crack_threshold: float
+    detector: str
+    least_extent_cells: float
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
@@ -198,6 +204,9 @@ def read_result(folder: Path) -> Result:
         x, y = record["origin_px"]
         ppu, magnification = float(record["pixels_per_cell"][0]), float(record["magnification"])
         threshold = float(record["crack_threshold"])
+        detector = str(record["crack_detector"])
+        # Results of earlier versions do not say it.
+        extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
         made_with = dict(record["versions"])
         weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
@@ -220,6 +229,8 @@ def read_result(folder: Path) -> Result:
         cells,
         settings,
         threshold,
+        detector,
+        float(extent),
         seconds,
         warnings,
         made_with,
@@ -294,6 +305,12 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "lambda_curve": reconstruction.lambda_curve,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
+        "crack_least_extent_cells": cracks.least_extent_cells,
+        "cells": [
+            {**asdict(cell), "crack_class": cell.crack_class, "marked_class": cell.marked_class}
+            for cell in cracks.cells
+        ],
+        "class_rule": CLASS_RULE.splitlines(),
         "seconds": {**seconds, "total": sum(seconds.values())},
         "warnings": list(inspection.warnings),
         "versions": versions(),
@@ -344,10 +361,11 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
 def _csv(cells: tuple[CellFeatures, ...]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class"])
+    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class", "marked_class"])
     for cell in cells:
         tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
-        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), cell.crack_class])
+        classes = cell.crack_class, cell.marked_class
+        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), *classes])
     return text.getvalue()
 
 

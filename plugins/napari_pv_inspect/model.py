@@ -48,6 +48,8 @@ class WorkbenchModel:
         What was guessed from the frames because the sequence came without rows and columns.
     draft : Inspection or None
         What the current or the last, cancelled run has found so far; a later run resumes from it.
+    selected_cell : (row, col) or None
+        The cell that gallery, live view and review show, from 0.
     """
 
     sequence_changed = Signal(object)
@@ -58,6 +60,7 @@ class WorkbenchModel:
     run_changed = Signal(object)
     progress_changed = Signal(float, str)
     noticed = Signal(str, bool)
+    cell_selected = Signal(object)
 
     def __init__(self) -> None:
         self.sequence: Sequence | None = None
@@ -67,6 +70,7 @@ class WorkbenchModel:
         self.guess: LayoutGuess | None = None
         self.result: Result | None = None
         self.run_state = RunState.IDLE
+        self.selected_cell: tuple[int, int] | None = None
 
     @property
     def shown(self) -> Inspection | None:
@@ -91,6 +95,7 @@ class WorkbenchModel:
         self.inspection = self.draft = self.result = None
         self._enter(RunState.IDLE)
         self.settings = self.settings.changed(**{**unknown, **hint})
+        self.select_cell(None)
         self.sequence_changed.emit(sequence)
         self.settings_changed.emit(self.settings)
         self.inspection_changed.emit(None)
@@ -127,6 +132,12 @@ class WorkbenchModel:
             layout.cols,
             layout.cell_aspect,
         )
+
+    def select_cell(self, cell: tuple[int, int] | None) -> None:
+        """Show another cell in all views."""
+        if cell != self.selected_cell:
+            self.selected_cell = cell
+            self.cell_selected.emit(cell)
 
     def open_result(self, result: Result) -> None:
         """Put a result folder on the bench; an inspection that has cells of its own stays."""

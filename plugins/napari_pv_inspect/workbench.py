@@ -14,12 +14,14 @@ from qtpy.QtCore import QEvent, QObject, QTimer
 from superqt.utils import qthrottled
 
 from napari_pv_inspect.guesser import LayoutGuesser
+from napari_pv_inspect.history import History
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.live import LiveKappa
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
+from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY, open_sequence
 from napari_pv_inspect.worker import RunController
 from pv_inspect.errors import InspectionError
@@ -49,6 +51,7 @@ class Workbench(QObject):
         self.viewer = viewer
         self.has_gallery = False
         self.model = WorkbenchModel()
+        self.history = History()
         self.runs = RunController(self.model)
         self.frames = FramesLayer(viewer, self.model)
         self.geometry = GeometryLayers(viewer, self.model)
@@ -68,8 +71,12 @@ class Workbench(QObject):
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
         self._fit_timer.timeout.connect(self.navigator.to_all)
+        self.shortcuts: Shortcuts | None = None
         if self._main_window is not None:
             self._main_window.installEventFilter(self)
+            self.shortcuts = Shortcuts(self._main_window)
+            self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
+            self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
         for layer in list(viewer.layers):
             self._adopt(layer)
 
@@ -94,6 +101,8 @@ class Workbench(QObject):
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
+            if self.shortcuts is not None:
+                self.shortcuts.close()
             self._main_window = None
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
@@ -107,6 +116,7 @@ class Workbench(QObject):
         self._fit_timer.start()
 
     def _on_sequence(self, _: object) -> None:
+        self.history.clear()
         self.fit_view()
 
     def _on_inserted(self, event: Any) -> None:

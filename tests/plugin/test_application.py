@@ -134,7 +134,7 @@ def test_another_lambda_changes_the_module_on_the_screen(tiny_app: Any, qtbot: Q
     dock.bench.navigator.to_cell(1, 1)
     viewer.layers["Cracks"].visible = False
     before = canvas(viewer, qtbot)
-    dock.run.prior_weight.number.setValue(10.0)
+    dock.image.prior_weight.number.setValue(10.0)
     qtbot.mouseClick(dock.run.run, LEFT)
     finish(dock, qtbot)
     dock.bench.navigator.to_cell(1, 1)

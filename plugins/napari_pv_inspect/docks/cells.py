@@ -163,6 +163,7 @@ class CellsDock(QWidget):
         if not index.isValid():
             return
         place = self.cells.cell(index)
+        self._model.select_cell(place)
         self._bench.navigator.to_cell(*place)
         self.caption.setText(self.cells.data(index, Qt.ItemDataRole.ToolTipRole))
 

@@ -1,13 +1,25 @@
-"""The dock *Inspect module*: open, detect, tune, run, save."""
+"""The dock *Inspect module*: open, then a page for each task; run and save below."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from napari.components import ViewerModel
-from qtpy.QtWidgets import QFileDialog, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QFileDialog,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QScrollArea,
+    QTabWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.module_box import ModuleBox
@@ -40,6 +52,7 @@ class InspectDock(QWidget):
         self.headline.setWordWrap(True)
         self.module = ModuleBox(bench.model)
         self.lens = LensBox(bench.model, bench.live)
+        self.image = ImageBox(bench.model)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
@@ -49,9 +62,14 @@ class InspectDock(QWidget):
         layout = QVBoxLayout(self)
         layout.addLayout(sources)
         layout.addWidget(self.headline)
-        for box in (self.module, self.lens, self.run, self.result):
-            layout.addWidget(box)
-        layout.addStretch(1)
+        self.pages = QTabWidget()
+        self.add_page(
+            "Grid", "Which module it is, and where its cells are.", self.module, self.lens
+        )
+        self.add_page("Image", "How the module image is made.", self.image)
+        layout.addWidget(self.pages, 1)
+        layout.addWidget(self.run)
+        layout.addWidget(self.result)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
@@ -61,6 +79,27 @@ class InspectDock(QWidget):
         listen(bench.model.sequence_changed, self._on_sequence)
         listen(bench.model.inspection_changed, self._on_inspection)
         self._on_sequence(bench.model.sequence)
+
+    def add_page(self, title: str, tip: str, *boxes: QWidget) -> None:
+        """Add a page of boxes, one below the other; it scrolls where the screen is small."""
+        content = QWidget()
+        column = QVBoxLayout(content)
+        column.setContentsMargins(2, 4, 2, 2)
+        for box in boxes:
+            column.addWidget(box)
+        column.addStretch(1)
+        page = QScrollArea()
+        page.setFrameShape(QFrame.Shape.NoFrame)
+        page.setWidgetResizable(True)
+        page.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        page.setWidget(content)
+        self.pages.setTabToolTip(self.pages.addTab(page, title), tip)
+
+    def show_page(self, title: str) -> None:
+        """Bring a page to the front."""
+        for k in range(self.pages.count()):
+            if self.pages.tabText(k) == title:
+                self.pages.setCurrentIndex(k)
 
     def save(self, folder: Path) -> None:
         """Write the result folder; what is wrong becomes a notice."""

@@ -1,45 +1,28 @@
-"""Magnification, prior, and the run itself."""
+"""The run: start, cancel, how far it is."""
 
 from __future__ import annotations
 
-from qtpy.QtCore import QSignalBlocker, Signal
-from qtpy.QtWidgets import (
-    QCheckBox,
-    QFormLayout,
-    QGroupBox,
-    QHBoxLayout,
-    QLabel,
-    QProgressBar,
-    QPushButton,
-    QWidget,
-)
+from qtpy.QtCore import Signal
+from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.slider import SettingSlider
 from napari_pv_inspect.model import RunState, WorkbenchModel
-from pv_inspect.settings import Settings, Stage
+from pv_inspect.settings import Stage
 
 __all__ = ["RunBox"]
 
-LAMBDA_RANGE = (1e-4, 10.0)
 WARNING_COLOUR = "#E69F00"
 
 
-class RunBox(QGroupBox):
-    """Settings of the reconstruction; *Run* and *Cancel* with progress."""
+class RunBox(QWidget):
+    """*Run* and *Cancel* with progress, and what the next run will do."""
 
     run_wanted = Signal()
     cancel_wanted = Signal()
 
     def __init__(self, model: WorkbenchModel, parent: QWidget | None = None) -> None:
-        super().__init__("Module image", parent)
+        super().__init__(parent)
         self._model = model
-        self.magnification = SettingSlider("magnification", 1.0, 6.0, decimals=2)
-        self.prior_weight = SettingSlider("prior_weight", *LAMBDA_RANGE, 4, logarithmic=True)
-        self.automatic = QCheckBox("Lambda automatic")
-        self.automatic.setToolTip(
-            "Choose lambda so that the image predicts pixels best that it has not seen."
-        )
         self.run = QPushButton("Run")
         self.run.setToolTip("Do all stages that are not up to date, in the background.")
         self.cancel = QPushButton("Cancel")
@@ -52,55 +35,19 @@ class RunBox(QGroupBox):
         buttons = QHBoxLayout()
         buttons.addWidget(self.run, 2)
         buttons.addWidget(self.cancel, 1)
-        form = QFormLayout(self)
-        form.addRow("Magnification", self.magnification)
-        form.addRow("Lambda", self.prior_weight)
-        form.addRow("", self.automatic)
-        form.addRow(buttons)
-        form.addRow(self.progress)
-        form.addRow(self.message)
-        self.magnification.changed.connect(self._on_magnification)
-        self.prior_weight.changed.connect(self._on_prior_weight)
-        self.automatic.toggled.connect(self._on_automatic)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(buttons)
+        layout.addWidget(self.progress)
+        layout.addWidget(self.message)
         self.run.clicked.connect(self.run_wanted)
         self.cancel.clicked.connect(self.cancel_wanted)
-        listen(model.settings_changed, self._on_settings)
+        listen(model.settings_changed, self._on_state)
         listen(model.sequence_changed, self._on_state)
         listen(model.run_changed, self._on_state)
-        listen(model.inspection_changed, self._on_inspection)
+        listen(model.inspection_changed, self._on_state)
         listen(model.progress_changed, self._on_progress)
         listen(model.noticed, self._on_notice)
-        self._on_settings(model.settings)
-
-    def _on_magnification(self, value: float) -> None:
-        self._model.change_settings(magnification=value)
-
-    def _on_prior_weight(self, value: float) -> None:
-        self._model.change_settings(prior_weight=value)
-
-    def _on_automatic(self, automatic: bool) -> None:
-        weight = None if automatic else self.prior_weight.value
-        self._model.change_settings(prior_weight=weight)
-
-    def _on_settings(self, settings: Settings) -> None:
-        self.magnification.show_value(settings.magnification)
-        self._show_prior_weight()
-        self._on_state()
-
-    def _show_prior_weight(self) -> None:
-        """Show lambda: the user's, else the one that was found automatically."""
-        weight = self._model.settings.prior_weight
-        with QSignalBlocker(self.automatic):
-            self.automatic.setChecked(weight is None)
-        inspection = self._model.inspection
-        made = None if inspection is None else inspection.reconstruction
-        if weight is None and made is not None:
-            weight = made.prior_weight
-        if weight is not None:
-            self.prior_weight.show_value(weight)
-
-    def _on_inspection(self, _: object = None) -> None:
-        self._show_prior_weight()
         self._on_state()
 
     def _on_state(self, _: object = None) -> None:
