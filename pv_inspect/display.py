@@ -88,7 +88,13 @@ def result_html(result: Result) -> str:
     str
         Picture of the module with the cracks, numbers, warnings.
     """
-    cracks = CrackMap(result.cracks, result.crack_threshold, "", result.cells)
+    cracks = CrackMap(
+        result.cracks,
+        result.crack_threshold,
+        result.detector,
+        result.cells,
+        result.least_extent_cells,
+    )
     used = sum(frame.used for frame in result.frames)
     rms = _median(np.array([frame.residual for frame in result.frames]))
     rows = [

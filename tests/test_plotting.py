@@ -6,10 +6,6 @@ from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -32,7 +28,8 @@ class Shown(FakeSequence):
 
 
 @pytest.fixture(autouse=True)
-def closed() -> Generator[None]:
+def no_window() -> Generator[None]:
+    plt.switch_backend("agg")
     yield
     plt.close("all")
 
