@@ -14,13 +14,11 @@ from pv_inspect.held_out import (
     CANDIDATES,
     Trial,
     choose_prior_weight,
-    prediction_error,
-    split,
     windows_of,
 )
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf_estimation import View
+from pv_inspect.prediction import Judge, View, split
 from pv_inspect.solver import Problem, first_guess, minimise
 
 SHAPE = (56, 56)
@@ -104,9 +102,8 @@ def test_split_parts_all_pixels_and_is_the_same_every_time() -> None:
 
 def test_prediction_error_of_the_truth_is_the_noise() -> None:
     trial, model, scene = recording(0.01)
-    test = [view.weights for view in trial.views]
-    total, n = prediction_error(trial.views, [model] * len(test), test, scene)
-    assert total / n == pytest.approx(1.0, abs=0.02)
+    judge = Judge.of(model, trial.views, [view.weights for view in trial.views])
+    assert judge.residual(scene) / judge.n_pixels == pytest.approx(1.0, abs=0.02)
 
 
 def test_windows_lie_inside_of_the_grid_and_show_the_same_places() -> None:
