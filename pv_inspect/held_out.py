@@ -1,7 +1,7 @@
 """How strong the prior has to be, from how well the image predicts pixels that it has not seen.
 
-Parts of the module are reconstructed from nine tenths of the LR pixels, with several weights from
-strong to weak. The weight that predicts the remaining tenth best is taken: too strong a prior
+Parts of the module are reconstructed from four fifths of the LR pixels, with several weights from
+strong to weak. The weight that predicts the remaining fifth best is taken: too strong a prior
 predicts a blur, too weak a one the noise of the others. The PSF is known to some per cent only, and
 an error of it is the same in all pixels: an image that is sharpened with a wrong PSF predicts them
 well with that PSF. They are predicted with a wider and a narrower one instead.
@@ -37,17 +37,17 @@ CANDIDATES = {
     "tikhonov": tuple(float(v) for v in 0.2 * 0.5 ** np.arange(11)),
 }
 """Weights that are tried, from strong to weak."""
-_HELD_OUT = 0.1
+_HELD_OUT = 0.2
 _SEED = 7
 # Steps from the first guess, and from the image of the next stronger weight.
 _FIRST_STEPS, _NEXT_STEPS = 50, 30
 # Share by which the PSF that predicts is wider, and narrower, than the one that reconstructs.
-_PSF_ERROR = 0.1
+_PSF_ERROR = 0.12
 # Windows lie on the module's diagonals, and are this wide.
 _WINDOW_CENTRES = ((0.22, 0.27), (0.68, 0.36), (0.45, 0.74))
 _SIDE_LR_PX = 48.0
 # Weights this many steps beyond a minimum are no longer tried.
-_BEYOND = 2
+_BEYOND = 1
 
 
 @dataclass(frozen=True, eq=False)
