@@ -96,7 +96,8 @@ class Reconstruction:
     iterations : int
         Steps of the solver.
     lambda_curve : tuple of (float, float)
-        Weights that were tried and what they left of held-out pixels, mean square in noise units;
+        Weights that were tried and what they left of held-out pixels with PSFs a little off, mean
+        square in noise units;
         empty if the user gave lambda.
     photometry : Photometry, optional
         The sensor's part in the intensities, if it was looked for.
