@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
 from pv_inspect.observation import NormalEquations
-from pv_inspect.stencil import Stencil
+from pv_inspect.stencil import Quadratic
 
 __all__ = ["probe", "support_of"]
 
@@ -56,14 +56,14 @@ def probe(shape: tuple[int, int], magnification: float) -> Image:
     return np.ascontiguousarray(np.tile(tile, repeats)[:height, :width], dtype=np.float32)
 
 
-def support_of(equations: NormalEquations, prior: Stencil) -> Image:
+def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
     """Share of a detail just finer than the LR pixels that comes from the frames.
 
     Parameters
     ----------
     equations : NormalEquations
         The data.
-    prior : Stencil
+    prior : Quadratic
         Majoriser of the prior at the minimiser, on the scale of the equations.
 
     Returns
