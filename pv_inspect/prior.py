@@ -30,9 +30,9 @@ __all__ = ["Btv", "Curvature", "Prior", "PriorName", "WeightedBtv", "prior_named
 Image = NDArray[np.floating]
 PriorName = Literal["wbtv", "btv", "tikhonov"]
 
-# Second differences go along x, y, and both diagonals. d along a diagonal is f_xx + f_yy +- 2 f_xy: with a quarter each, the weighted sum of squares is
-# the squared Frobenius norm of the Hessian plus half of the squared Laplacian, the same for every
-# direction of an edge.
+# Second differences d go along x, y and both diagonals. On a diagonal d is f_xx + f_yy +- 2 f_xy:
+# with a quarter each, the weighted sum of squares is the squared Frobenius norm of the Hessian plus
+# half of the squared Laplacian, the same for every direction of an edge.
 _STEP_WEIGHTS = np.array([1.0, 1.0, 0.25, 0.25])
 # Side of the neighbourhood that shares its weights, HR px.
 _GROUP = 5

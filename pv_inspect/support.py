@@ -85,19 +85,22 @@ def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
     magnification = equations.model.grid.magnification
     z = probe(shape, magnification)
 
-    u = _answer(equations, prior, z)
+    diagonal = equations.diagonal
+    u = _answer(equations, prior, diagonal, z)
     sigma = _WINDOW_LR_PX * magnification
     answer = cv2.GaussianBlur(u * z, (0, 0), sigma)
     power = cv2.GaussianBlur(z * z, (0, 0), sigma)
     share = np.clip(answer / np.maximum(power, 1e-6), 0.0, 1.0)
-    share[equations.model.blur.apply(equations.coverage) <= 0.0] = 0.0
+    share[diagonal <= 0.0] = 0.0
     return np.asarray(share, np.float32)
 
 
-def _answer(equations: NormalEquations, prior: Quadratic, z: Image) -> Image:
-    """R z."""
-    diagonal = equations.diagonal + prior.diagonal
-    scale = (1.0 / np.maximum(diagonal, 1e-9 * float(diagonal.max()))).astype(np.float32)
+def _answer(
+    equations: NormalEquations, prior: Quadratic, diagonal: NDArray[np.floating], z: Image
+) -> Image:
+    """R z; the diagonal is that of the equations."""
+    both = diagonal + prior.diagonal
+    scale = (1.0 / np.maximum(both, 1e-9 * float(both.max()))).astype(np.float32)
     u = np.zeros_like(z)
     r = np.asarray(equations.apply(z), np.float32)
     p = scale * r
