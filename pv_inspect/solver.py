@@ -105,7 +105,7 @@ def first_guess(equations: NormalEquations) -> Image:
 
 
 def minimise(
-    problem: Problem, start: Image, max_iterations: int, tolerance: float = 1.5e-3
+    problem: Problem, start: Image, max_iterations: int, tolerance: float = 7e-4
 ) -> Generator[Solution, None, Solution]:
     """Minimise E from a start image; yields after every conjugate gradient step.
 
