@@ -129,7 +129,7 @@ def lines_of(
             inside = (values >= low) & (values < high)
             weight = scene.length_px * inside
             span = f"{low:g} to {high:g} {unit}" if np.isfinite(high) else f"over {low:g} {unit}"
-            line = f"{name:<4}{what:<10}{span:<18}{weight.sum() / total:7.2f}"
+            line = f"{name:<8}{what:<10}{span:<18}{weight.sum() / total:7.2f}"
             if weight.sum() < 0.005 * total:
                 yield line
                 continue

@@ -6,6 +6,7 @@
         [--reliability FILE]                                   writes the table of docs/
     python benchmarks/cracks.py sequences RESULTS SEQUENCES SCORER
         [--only D2 ...] [--detectors network ...]
+        [--unseen CELLS]                                       only cells that are not in train/
 
 ELPV holds labels.csv and images/. RESULTS holds one folder of `pv-inspect run` per sequence, of the
 same name; nothing is reconstructed again. SCORER is the script that scores a sequence; its
@@ -25,6 +26,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from crack_unseen import Learnt
 from crack_visibility import lines_of, pieces
 from numpy.typing import NDArray
 
@@ -177,7 +179,12 @@ def probability_of(image: Image, result: Result, detector: CrackDetector) -> tup
 
 
 def sequence_rows(
-    name: str, result_folder: Path, sequence: Path, scorer: Any, found: dict[str, CrackDetector]
+    name: str,
+    result_folder: Path,
+    sequence: Path,
+    scorer: Any,
+    found: dict[str, CrackDetector],
+    learnt: Learnt | None = None,
 ) -> tuple[list[str], list[str]]:
     """Score cracks of ours, BICUBIC and the HR truth as the scorer does.
 
@@ -211,13 +218,24 @@ def sequence_rows(
         "BICUBIC": bicubic(result, sequence),
         "HR": np.ascontiguousarray(np.rot90(best, -k)),
     }
+    judged = np.ones(turned, bool)
+    if learnt is not None:
+        cells = np.ndindex(result.grid.layout.rows, result.grid.layout.cols)
+        upright = np.zeros(result.image.shape, bool)
+        unseen = [result.grid.cell_slices(*at) for at in cells]
+        unseen = [where for where in unseen if not learnt.holds(images["HR"][where])]
+        for where in unseen:
+            upright[where] = True
+        judged = np.rot90(upright, k)
+        mask = mask & judged[y0:y1, x0:x1]
+        name = f"{name} ({len(unseen)})"
     scene = pieces(best, mask_of(mask, turned, window), result.grid.pixels_per_unit)
     figures, shares = [], []
     for detector_name, detector in found.items():
         texts, f1, seen_of = [], {}, {}
         for image_name, image in images.items():
             probability, threshold = probability_of(image, result, detector)
-            turned_map = np.ascontiguousarray(np.rot90(probability, k))
+            turned_map = np.ascontiguousarray(np.rot90(probability, k) * judged)
             score = scorer.score_cracks(turned_map[y0:y1, x0:x1], mask, threshold)["max"]
             part, group = score["segmentation"], score["detection"]
             f1[image_name] = (part["f1"], part["ap"])
@@ -227,10 +245,10 @@ def sequence_rows(
         ours, bicubic_f1, truth_f1 = (f1[name] for name in ("ours", "BICUBIC", "HR"))
         ratios = [a / max(b, 1e-9) for a, b in zip(ours, bicubic_f1, strict=True)]
         figures.append(
-            f"{name:<4}{detector_name:<22}{''.join(texts)}{ratios[0]:8.1f}{ratios[1]:6.1f}"
+            f"{name:<8}{detector_name:<22}{''.join(texts)}{ratios[0]:8.1f}{ratios[1]:6.1f}"
             f"{ours[0] / max(truth_f1[0], 1e-9):8.2f}"
         )
-        shares.append(f"{name:<4}{detector_name}")
+        shares.append(f"{name:<8}{detector_name}")
         shares += lines_of(name, scene, seen_of, result.grid.magnification)
     return figures, shares
 
@@ -286,20 +304,23 @@ def sequences_command(options: argparse.Namespace) -> None:
     every = detectors()
     found = {name: every[name] for name in options.detectors or every}
     print(
-        f"{'coarse masks':<26}"
+        f"{'coarse masks':<30}"
         + "".join(f"{n + ' F1':>8}{'AP':>7}{'inst.':>7}" for n in ("ours", "BIC", "HR"))
         + "   F1, AP: / BIC   F1 / HR"
     )
     by_width = []
+    learnt = None
+    if options.unseen:
+        learnt = Learnt(*(read_labelled(options.unseen / part) for part in ("train", "val")))
     for folder in sorted(options.results.iterdir()):
         sequence = options.sequences / folder.name
         if options.only and folder.name not in options.only:
             continue
         if (folder / "result.json").is_file() and (sequence / "truth" / "cracks.png").is_file():
-            figures, shares = sequence_rows(folder.name, folder, sequence, scorer, found)
+            figures, shares = sequence_rows(folder.name, folder, sequence, scorer, found, learnt)
             print(*figures, sep="\n", flush=True)
             by_width += shares
-    print(f"\n{'cracks by':<32}{'share':>7}{'ours':>9}{'BICUBIC':>9}{'HR':>9}  found")
+    print(f"\n{'cracks by':<36}{'share':>7}{'ours':>9}{'BICUBIC':>9}{'HR':>9}  found")
     print(*by_width, sep="\n")
 
 
@@ -315,6 +336,7 @@ def main() -> None:
     sequences = commands.add_parser("sequences", help=sequences_command.__doc__)
     for name in ("results", "sequences", "scorer"):
         sequences.add_argument(name, type=Path)
+    sequences.add_argument("--unseen", type=Path, metavar="CELLS")
     sequences.add_argument("--only", nargs="+", metavar="NAME")
     sequences.add_argument("--detectors", nargs="+", metavar="NAME")
     sequences.set_defaults(call=sequences_command)
