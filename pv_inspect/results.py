@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, OperatingPoint
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
@@ -68,7 +68,9 @@ class FrameResult:
     gain, offset : float
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
-        Residual in units of the noise.
+        Residual against the mean of the frames, in units of the noise.
+    residual : float
+        Residual against the module image, in units of the noise.
     edits : dict
         (row, col) of the crossing points that a person has set, and where, (x, y) LR px; None for
         those that were removed.
@@ -82,6 +84,7 @@ class FrameResult:
     gain: float
     offset: float
     rms: float
+    residual: float = float("nan")
     edits: dict[tuple[int, int], tuple[float, float] | None] = field(default_factory=dict)
 
 
@@ -102,9 +105,15 @@ class Result:
         Row-major.
     settings : Settings
     crack_threshold : float
+    detector : str
+        Name of what found the cracks.
+    least_extent_cells : float
+        Marks that are shorter count as no crack in ``cells``.
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
+    prior_weight, psf_sigma_lr_px : float
+        lambda and optical blur that were used.
     """
 
     folder: Path
@@ -118,9 +127,22 @@ class Result:
     cells: tuple[CellFeatures, ...]
     settings: Settings
     crack_threshold: float
+    detector: str
+    least_extent_cells: float
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
+    prior_weight: float = float("nan")
+    psf_sigma_lr_px: float = float("nan")
+
+    def __repr__(self) -> str:
+        layout = self.grid.layout
+        return f"<Result in {str(self.folder)!r}: {layout.rows} x {layout.cols} cells>"
+
+    def _repr_html_(self) -> str:
+        from pv_inspect.display import result_html
+
+        return result_html(self)
 
 
 def tile_name(row: int, col: int) -> str:
@@ -186,8 +208,12 @@ def read_result(folder: Path) -> Result:
         x, y = record["origin_px"]
         ppu, magnification = float(record["pixels_per_cell"][0]), float(record["magnification"])
         threshold = float(record["crack_threshold"])
+        detector = str(record["crack_detector"])
+        # Results of earlier versions do not say it.
+        extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
         made_with = dict(record["versions"])
+        weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
     image = _read_image(folder / "module_hr.tif")
     support = _read_image(folder / "support.tif", image.shape)
     consistency = _read_image(folder / "consistency.tif", image.shape)
@@ -207,9 +233,13 @@ def read_result(folder: Path) -> Result:
         cells,
         settings,
         threshold,
+        detector,
+        float(extent),
         seconds,
         warnings,
         made_with,
+        weight,
+        sigma,
     )
 
 
@@ -280,6 +310,12 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "lambda_curve": reconstruction.lambda_curve,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
+        "crack_least_extent_cells": cracks.least_extent_cells,
+        "cells": [
+            {**asdict(cell), "crack_class": cell.crack_class, "marked_class": cell.marked_class}
+            for cell in cracks.cells
+        ],
+        "class_rule": CLASS_RULE.splitlines(),
         "seconds": {**seconds, "total": sum(seconds.values())},
         "warnings": list(inspection.warnings),
         "versions": versions(),
@@ -333,6 +369,8 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
         np.ascontiguousarray(image, np.float32),
         photometric="minisblack",
         compression="zlib" if pack else None,
+        # Noise hardly shrinks: higher levels take longer for one percent.
+        compressionargs={"level": 1} if pack else None,
         resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
         resolutionunit="NONE",
         description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
@@ -345,10 +383,11 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
 def _csv(cells: tuple[CellFeatures, ...]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class"])
+    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class", "marked_class"])
     for cell in cells:
         tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
-        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), cell.crack_class])
+        classes = cell.crack_class, cell.marked_class
+        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), *classes])
     return text.getvalue()
 
 
@@ -383,6 +422,7 @@ def _frame_from(entry: dict[str, Any]) -> FrameResult:
         number("gain"),
         number("offset"),
         number("rms"),
+        number("residual"),
         {
             (int(edit["row"]), int(edit["col"])): edit["px"] and (edit["px"][0], edit["px"][1])
             for edit in entry.get("edits", ())
