@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -26,6 +27,7 @@ from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.pipeline import Inspection
 from pv_inspect.report import render_report
+from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
 
@@ -45,7 +47,9 @@ RESULT_FILES = (
     "cracks.tif",
     "cells.csv",
     "report.html",
+    "geometry.json",
 )
+GEOMETRY_JSON = "geometry.json"
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
 _TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
@@ -101,6 +105,8 @@ class Result:
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
+    record : dict
+        All of ``result.json``.
     """
 
     folder: Path
@@ -117,6 +123,7 @@ class Result:
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
+    record: dict[str, Any] = field(default_factory=dict, repr=False)
 
 
 def tile_name(row: int, col: int) -> str:
@@ -146,7 +153,7 @@ def write_result(inspection: Inspection, out: Path) -> None:
         raise InspectionError(
             "This inspection is not complete, so that no result can be written: run it to its end."
         )
-    replace_folder(out, _files(inspection), RESULT_JSON, _is_ours)
+    replace_folder(out, _files(inspection, out), RESULT_JSON, _is_ours)
 
 
 def read_result(folder: Path) -> Result:
@@ -206,6 +213,7 @@ def read_result(folder: Path) -> Result:
         seconds,
         warnings,
         made_with,
+        record,
     )
 
 
@@ -283,8 +291,43 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     return plain
 
 
-def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
-    """Name and content of every file of a result, ``result.json`` last."""
+def source_record(sequence: Sequence, out: Path) -> dict[str, Any]:
+    """Where the frames are: absolute, and relative to the result folder, which may move along."""
+    given = sequence.opened_from
+    record = {}
+    for name, turn in (("path", str), ("relative", _relative_to(out))):
+        record[name] = [turn(p) for p in given] if isinstance(given, tuple) else turn(given)
+    return record
+
+
+def _relative_to(out: Path) -> Callable[[Path], str | None]:
+    def turn(path: Path) -> str | None:
+        try:
+            return os.path.relpath(os.path.realpath(path), os.path.realpath(out))
+        except ValueError:  # another drive
+            return None
+
+    return turn
+
+
+def geometry_record(inspection: Inspection) -> dict[str, Any]:
+    """Return crossing points and calibration, which a later run can start from."""
+    crossings, calibration = inspection.crossings, inspection.calibration
+    assert crossings is not None
+    assert calibration is not None
+    return {
+        "crossings": [vars(frame) for frame in crossings.frames],
+        "calibration": {
+            name: value
+            for name, value in vars(calibration).items()
+            if name not in {"layout", "camera"}
+        },
+        "camera": {"K": calibration.camera.K, "kappa": calibration.camera.kappa},
+    }
+
+
+def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
+    """Name and content of every file of the result in ``out``, ``result.json`` last."""
     reconstruction, cracks, tiles = inspection.reconstruction, inspection.cracks, inspection.tiles
     assert reconstruction is not None
     assert cracks is not None
@@ -300,8 +343,13 @@ def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
         yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.images[row, col], grid, what)
     yield "cells.csv", _csv(cracks.cells).encode()
     yield "report.html", render_report(inspection).encode()
-    text = json.dumps(result_record(inspection), indent=1, allow_nan=False)
-    yield RESULT_JSON, text.encode()
+    yield GEOMETRY_JSON, _json(geometry_record(inspection))
+    record = {"source": source_record(inspection.sequence, out), **result_record(inspection)}
+    yield RESULT_JSON, _json(record)
+
+
+def _json(record: dict[str, Any]) -> bytes:
+    return json.dumps(_plain(record), indent=1, allow_nan=False).encode()
 
 
 def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:

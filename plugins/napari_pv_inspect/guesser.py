@@ -8,6 +8,7 @@ from napari_pv_inspect.model import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
 
 __all__ = ["LayoutGuesser"]
 
@@ -26,13 +27,13 @@ class LayoutGuesser:
     def _on_sequence(self, sequence: Sequence | None) -> None:
         if sequence is None or is_known(sequence, self._model.settings):
             return
-        worker = create_worker(_guess_or_none, sequence)
+        worker = create_worker(_guess_or_none, sequence, self._model.settings)
         worker.returned.connect(lambda guess: self._model.offer_layout(sequence, guess))
         worker.start()
 
 
-def _guess_or_none(sequence: Sequence) -> LayoutGuess | None:
+def _guess_or_none(sequence: Sequence, settings: Settings) -> LayoutGuess | None:
     try:
-        return guess_layout(sequence)
+        return guess_layout(sequence, settings, settings.module_at)
     except InspectionError:
         return None
