@@ -25,8 +25,10 @@ class LayoutGuesser:
         self._model.sequence_changed.disconnect(self._on_sequence)
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
+        self._model.guessing = False
         if sequence is None or is_known(sequence, self._model.settings):
             return
+        self._model.guessing = True
         worker = create_worker(_guess_or_none, sequence, self._model.settings)
         worker.returned.connect(lambda guess: self._model.offer_layout(sequence, guess))
         worker.start()

@@ -60,6 +60,8 @@ class WorkbenchModel:
         What is shown and saved. A cancelled run leaves a complete one as it was.
     guess : LayoutGuess or None
         What was guessed from the frames because the sequence came without rows and columns.
+    guessing : bool
+        Whether rows and columns are being guessed just now.
     draft : Inspection or None
         What the current or the last, cancelled run has found so far; a later run resumes from it.
     selected_cell : (row, col) or None
@@ -82,6 +84,7 @@ class WorkbenchModel:
         self.inspection: Inspection | None = None
         self.draft: Inspection | None = None
         self.guess: LayoutGuess | None = None
+        self.guessing = False
         self.result: Result | None = None
         self.run_state = RunState.IDLE
         self.run_until: Stage | None = None
@@ -106,8 +109,9 @@ class WorkbenchModel:
         hint = {
             k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
         }
-        unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa"))
-        self._put(sequence, self.settings.changed(**{**unknown, **hint}))
+        unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa", "module_at"))
+        frames = {"keep_frames": (), "skip_frames": ()}
+        self._put(sequence, self.settings.changed(**{**unknown, **frames, **hint}))
 
     def reopen(self, sequence: Sequence) -> None:
         """Put the same frames on the bench, read in another way; the settings stay."""
@@ -149,6 +153,8 @@ class WorkbenchModel:
         guess : LayoutGuess or None
             None: the frames do not tell.
         """
+        if sequence is self.sequence:
+            self.guessing = False
         known = self.settings.rows is not None or self.settings.cols is not None
         if sequence is not self.sequence or known or self.run_state is not RunState.IDLE:
             return
