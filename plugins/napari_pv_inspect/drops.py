@@ -40,7 +40,7 @@ class DropTaker(QObject):
         """Leave all drops to napari again."""
         self._take = None
 
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+    def eventFilter(self, _: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Take a drop that our reader knows how to read."""
         if self._take is None or not isinstance(event, QDropEvent):
             return False

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ import pytest
 import tifffile
 from napari.layers import Layer
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QMimeData, QPointF, Qt, QUrl
-from qtpy.QtGui import QDropEvent
+from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from qtpy.QtGui import QDragEnterEvent, QDropEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
@@ -103,8 +104,6 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     out = tmp_path / "out"
     shutil.copytree(tiny_folder, tmp_path / "moved")
     sequence = Sequence.open(tmp_path / "moved")
-    from dataclasses import replace
-
     write_result(replace(tiny_inspection, sequence=sequence), out)
     shutil.rmtree(tmp_path / "moved")
     notices: list[str] = []
@@ -165,14 +164,11 @@ def test_a_stored_cell_that_the_module_has_not_is_ignored(
 def drop(viewer: Any, *paths: Path) -> None:
     mime = QMimeData()
     mime.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
-    event = QDropEvent(
-        QPointF(5, 5),
-        Qt.DropAction.CopyAction,
-        mime,
-        Qt.MouseButton.LeftButton,
-        Qt.KeyboardModifier.NoModifier,
-    )
-    QApplication.sendEvent(viewer.window._qt_window._qt_viewer, event)
+    target = viewer.window._qt_window._qt_viewer
+    more = (Qt.DropAction.CopyAction, mime, Qt.MouseButton.LeftButton, Qt.KeyboardModifier(0))
+    # Qt delivers a drop only where the drag was let in.
+    QApplication.sendEvent(target, QDragEnterEvent(QPoint(5, 5), *more))
+    QApplication.sendEvent(target, QDropEvent(QPointF(5, 5), *more))
 
 
 def test_folders_stacks_lists_and_results_can_be_dropped(
