@@ -37,6 +37,7 @@ class SessionKeeper(QObject):
         self._model = model
         self._frames = frames
         self._cell: tuple[int, int] | None = None
+        self._frame = 0
         self._aim: Session | None = None
         self.folder: Path | None = None
         self.page = ""
@@ -46,7 +47,7 @@ class SessionKeeper(QObject):
         self._timer.timeout.connect(self.write)
         model.sequence_changed.connect(self._on_sequence)
         model.cell_selected.connect(self._on_cell)
-        frames.frame_shown.connect(self._later)
+        frames.frame_shown.connect(self._on_frame)
 
     def attach(self, folder: Path) -> None:
         """Keep the state of the view beside a result that was just saved."""
@@ -97,7 +98,7 @@ class SessionKeeper(QObject):
         camera = self._viewer.scene.camera
         row, col = (float(v) for v in camera.center[-2:])
         write_session(
-            Session(self._cell, self._frames.frame, self.page, (row, col), float(camera.zoom)),
+            Session(self._cell, self._frame, self.page, (row, col), float(camera.zoom)),
             self.folder,
         )
 
@@ -109,6 +110,11 @@ class SessionKeeper(QObject):
     def _later(self, _: object = None) -> None:
         if self.folder is not None:
             self._timer.start()
+
+    def _on_frame(self, frame: int) -> None:
+        # napari takes the layers away before it closes: then no frame is shown.
+        self._frame = frame
+        self._later()
 
     def _on_cell(self, cell: tuple[int, int] | None) -> None:
         # Nothing is selected while another sequence comes: that is not worth to be remembered.

@@ -9,7 +9,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.utils.notifications import show_error
-from qtpy.QtCore import QEvent, QObject, QTimer
+from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from superqt.utils import qthrottled
 
 from napari_pv_inspect.drops import DropTaker
@@ -78,6 +78,10 @@ class Workbench(QObject):
         self.shortcuts: Shortcuts | None = None
         self._drops: DropTaker | None = None
         if self._main_window is not None:
+            # The controls keep their height when the gallery comes.
+            self._main_window.setCorner(
+                Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
+            )
             self._drops = DropTaker(self._main_window._qt_viewer, self.open)
             self._main_window.installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)

@@ -8,7 +8,7 @@ import pytest
 from pytestqt.qtbot import QtBot
 from qtpy.QtCore import QModelIndex, QPoint, Qt
 
-from napari_pv_inspect.docks.frames_box import FATE, GRID, NAME
+from napari_pv_inspect.docks.frames_box import GRID, NAME, STATUS
 from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
 from napari_pv_inspect.model import RunState
 from pv_inspect.pipeline import Inspection
@@ -132,7 +132,7 @@ def test_a_tick_changes_the_settings_and_can_be_undone(filled: Any) -> None:
     box.table.setData(box.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)
     assert model.settings.skip_frames == (name,)
     assert box.table.index(1, NAME).data(TICK) == Qt.CheckState.Unchecked
-    assert "next run" in box.table.index(1, FATE).data()
+    assert "next run" in box.table.index(1, STATUS).data()
     assert dock.bench.history.undo_text == f"Leave out {name}"
     assert dock.steps.next.text() == "Run from register"
     dock.bench.history.undo()

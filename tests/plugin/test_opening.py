@@ -147,8 +147,10 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
     qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
     dock.save(tmp_path / "out")
     dock.bench.model.select_cell((0, 3))
+    viewer.dims.set_current_step(0, 4)
     viewer.close()
     assert read_session(tmp_path / "out").cell == (0, 3)
+    assert read_session(tmp_path / "out").frame == 4
 
 
 def test_a_stored_cell_that_the_module_has_not_is_ignored(

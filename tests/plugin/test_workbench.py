@@ -269,6 +269,7 @@ def test_what_can_not_be_opened_or_saved_is_one_sentence_in_the_dock(
     popups: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
     dock.bench.open(tmp_path / "nowhere")
+    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=5000)
     assert "nowhere" in dock.run.message.text()
     run(dock, qtbot)
     (tmp_path / "file").write_text("x")

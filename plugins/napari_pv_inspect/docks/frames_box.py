@@ -12,7 +12,15 @@ from qtpy.QtCore import (
     Signal,
 )
 from qtpy.QtGui import QColor
-from qtpy.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QHeaderView,
+    QLabel,
+    QSizePolicy,
+    QTableView,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
@@ -26,14 +34,18 @@ COLUMNS = {
     "Grid": "Distance of the measured crossing points from the fitted grid (RMS). Unit: LR px.",
     "Rest": "What registration leaves between frame and module image. Unit: noise; 1 is ideal.",
     "Blur": "Length of the motion blur during the exposure. Unit: LR px.",
-    "Fate": "Used, or why not.",
+    "Status": "Used, or why not.",
 }
-NAME, GRID, REST, BLUR, FATE = range(len(COLUMNS))
+NAME, GRID, REST, BLUR, STATUS = range(len(COLUMNS))
 TICK_TIP = (
     "Take the tick away to leave this frame out; set it at a rejected frame to use it nevertheless "
     "(that helps only where its grid was found)."
 )
-REJECTED = QColor("#D55E00")
+REJECTED, LEFT_OUT = QColor("#D55E00"), QColor("#808890")
+TICKS = """
+QTableView::indicator { width: 11px; height: 11px; border: 1px solid #A0A8B0; }
+QTableView::indicator:checked { background: #56B4E9; }
+"""
 SORT_ROLE = Qt.ItemDataRole.UserRole
 
 
@@ -54,7 +66,7 @@ class FrameTable(QAbstractTableModel):
             self.endResetModel()
         elif repr(rows) != repr(self.rows):  # NaN differs from itself
             self.rows = rows
-            self.dataChanged.emit(self.index(0, 0), self.index(len(rows) - 1, FATE))
+            self.dataChanged.emit(self.index(0, 0), self.index(len(rows) - 1, STATUS))
 
     def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
         """Count the frames."""
@@ -102,8 +114,8 @@ class FrameTable(QAbstractTableModel):
             return index.row() if column == NAME else row.fate
         if role == Qt.ItemDataRole.ToolTipRole:
             return f"{row.name}: {row.fate or 'nothing known yet'}\n{TICK_TIP}"
-        if role == Qt.ItemDataRole.ForegroundRole and row.used is False and column == FATE:
-            return REJECTED
+        if role == Qt.ItemDataRole.ForegroundRole and not row.wanted:
+            return REJECTED if row.used is False and column == STATUS else LEFT_OUT
         if role == Qt.ItemDataRole.TextAlignmentRole and number is not None:
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         return None
@@ -142,7 +154,12 @@ class FramesBox(QWidget):
         header = self.view.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setStretchLastSection(True)
-        for column, width in ((NAME, 116), (GRID, 42), (REST, 42), (BLUR, 42)):
+        header.setMinimumSectionSize(30)
+        # A long status is cut off; its tooltip is not.
+        self.view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.view.setStyleSheet(TICKS)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
+        for column, width in ((NAME, 112), (GRID, 40), (REST, 40), (BLUR, 40)):
             self.view.setColumnWidth(column, width)
         self.summary = QLabel()
         self.summary.setWordWrap(True)

@@ -14,6 +14,7 @@ from qtpy.QtWidgets import (
     QLabel,
     QPushButton,
     QScrollArea,
+    QSizePolicy,
     QTabWidget,
     QVBoxLayout,
     QWidget,
@@ -113,7 +114,8 @@ class InspectDock(QWidget):
         column = QVBoxLayout(content)
         column.setContentsMargins(2, 4, 2, 2)
         for box in boxes:
-            column.addWidget(box)
+            expands = box.sizePolicy().verticalPolicy() == QSizePolicy.Policy.Expanding
+            column.addWidget(box, 100 if expands else 0)
         column.addStretch(1)
         page = QScrollArea()
         page.setFrameShape(QFrame.Shape.NoFrame)

@@ -84,7 +84,7 @@ class RunBox(QWidget):
             return "How many rows and columns of cells does the module have?"
         if not model.to_do:
             return "Up to date."
-        first = min(model.to_do, key=_position)
+        first = min(model.to_do - {Stage.LOAD}, key=_position)
         return f"Next run starts at: {first.value}."
 
     def _on_progress(self, fraction: float, message: str) -> None:

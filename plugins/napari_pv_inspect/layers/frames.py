@@ -81,7 +81,8 @@ class FramesLayer:
 
     def _on_step(self, _: Any = None) -> None:
         self._caption()
-        self.frame_shown.emit(self.frame)
+        if self._viewer.dims.ndim > 2:
+            self.frame_shown.emit(self.frame)
 
     def _caption(self) -> None:
         overlay = self._viewer.canvas.overlays.text
