@@ -155,7 +155,8 @@ class WorkbenchModel:
         """
         if sequence is self.sequence:
             self.guessing = False
-        known = self.settings.rows is not None or self.settings.cols is not None
+        given = self.settings.rows is not None or self.settings.cols is not None
+        known = given and not self.layout_is_guessed
         if sequence is not self.sequence or known or self.run_state is not RunState.IDLE:
             return
         if guess is None:

@@ -162,7 +162,6 @@ class FramesBox(QWidget):
         for column, width in ((NAME, 112), (GRID, 40), (REST, 40), (BLUR, 40)):
             self.view.setColumnWidth(column, width)
         self.summary = QLabel()
-        self.summary.setWordWrap(True)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.summary)
