@@ -1,4 +1,4 @@
-"""The command line: ``pv-inspect run | cracks | simulate | gui``."""
+"""The command line: ``pv-inspect run | cracks | review | simulate | gui``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from pv_inspect import __version__, cli_cracks
+from pv_inspect import __version__, cli_cracks, cli_review
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 
@@ -257,6 +257,31 @@ def cracks(
         settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
         if not cli_cracks.cracks_of(images, out, settings, model, quiet=quiet):
             raise typer.Exit(1)
+
+
+@app.command()
+def review(
+    folder: cli_review.Folder,
+    export: cli_review.Export = False,
+    serial: cli_review.Serial = None,
+    current: cli_review.Current = None,
+    exposure: cli_review.Exposure = None,
+    temperature: cli_review.Temperature = None,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Tell how far the review of a result is, and export it.
+
+    Verdicts are given in the workbench; what is known about the module can be stored here.
+    """
+    with _one_sentence(debug):
+        module = {
+            "serial_number": serial,
+            "current_a": current,
+            "exposure_s": exposure,
+            "temperature_c": temperature,
+        }
+        cli_review.review_of(folder, module, export=export, quiet=quiet)
 
 
 @app.command()

@@ -15,7 +15,7 @@ from pathlib import Path, PurePath
 
 from pv_inspect.errors import InspectionError
 
-__all__ = ["check_replaceable", "recovered", "replace_folder"]
+__all__ = ["check_replaceable", "recovered", "replace_file", "replace_folder"]
 
 IsOurs = Callable[[PurePath], bool]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -122,6 +122,29 @@ def replace_folder(
         raise InspectionError(
             f"The result can't be written to {out}: {reason}; {remedy} (nothing was changed there)."
         ) from None
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write one file of an existing folder, as a whole or not at all.
+
+    Raises
+    ------
+    InspectionError
+        If it can't be written; then an earlier one is as it was.
+    """
+    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    try:
+        _write_file(partial, content)
+        partial.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
+        reason = "the disk is full" if error.errno in _FULL else error.strerror or str(error)
+        raise InspectionError(
+            f"{path} can't be written: {reason}; free some space or allow writing there, and try "
+            "again."
+        ) from None
+    _sync_folder(path.parent)
 
 
 def recovered(out: Path) -> Path:

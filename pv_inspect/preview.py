@@ -20,7 +20,7 @@ from pv_inspect.layout import HrGrid
 from pv_inspect.motion import motion_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.photometry import huber_weights, observed
-from pv_inspect.psf_estimation import View, cut_view
+from pv_inspect.prediction import View, cut_view
 from pv_inspect.reconstruction import Reconstruction, brightness_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence

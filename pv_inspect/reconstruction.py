@@ -17,8 +17,9 @@ from pv_inspect.motion import length_and_angle
 from pv_inspect.motion_estimation import estimate_motion
 from pv_inspect.observation import SensorRays
 from pv_inspect.photometry import Photometry, estimate_photometry, mean_illumination, observed
+from pv_inspect.prediction import View, cut_view
 from pv_inspect.prior import PriorName
-from pv_inspect.psf_estimation import View, cut_view, estimate_psf_sigma, window_of
+from pv_inspect.psf_estimation import estimate_psf_sigma, window_of
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import base64
 from dataclasses import dataclass
 from datetime import date
 from typing import Any
 
-import cv2
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
 
 from pv_inspect.calibration import focal_length_source
-from pv_inspect.cracks import CellFeatures, CrackMap, crack_marks
+from pv_inspect.cracks import CLASS_RULE, CellFeatures
+from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, length_text, tooltip
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
+from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.pipeline import Inspection
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
@@ -32,8 +31,6 @@ _MODULE_PX = 1600
 _SUPPORT_PX = 480
 _CLOSE_UP_PX = 280
 _N_CLOSE_UPS = 12
-# Vermilion of the Okabe-Ito palette (RGB): seen on grey by colour-blind readers too.
-_CRACK_RGB = (213, 94, 0)
 
 
 @dataclass(frozen=True)
@@ -87,23 +84,23 @@ def _content(inspection: Inspection) -> dict[str, Any]:
     assert cracks is not None
     assert tiles is not None
     grid, layout = reconstruction.grid, inspection.layout
-    low, high = _contrast(reconstruction.image, grid)
-    picture = _grey(_shrunk(reconstruction.image, _MODULE_PX), low, high)
+    low, high = contrast_of(reconstruction.image, grid)
+    picture = grey(shrunk(reconstruction.image, _MODULE_PX), low, high)
     worst = sorted(
         cracks.cells,
         key=lambda cell: (-cell.crack_length_cells, -cell.crack_score, cell.row, cell.col),
     )
     suspected = [cell for cell in worst if cell.crack_suspected]
-    marks = _marks(cracks, grid)
+    marks = crack_mask(cracks, grid)
     close_ups = []
     for cell in suspected[:_N_CLOSE_UPS]:
         where = grid.cell_slices(cell.row, cell.col)
-        crop = _shrunk(reconstruction.image[where], _CLOSE_UP_PX)
+        crop = shrunk(reconstruction.image[where], _CLOSE_UP_PX)
         close_ups.append(
             {
                 "cell": cell,
-                "image": _jpeg(_grey(crop, low, high)),
-                "overlay": _overlay(cracks.probability[where], marks[where], _CLOSE_UP_PX),
+                "image": jpeg_url(grey(crop, low, high)),
+                "overlay": overlay_url(cracks.probability[where], marks[where], _CLOSE_UP_PX),
             }
         )
     seconds = inspection.seconds
@@ -118,15 +115,22 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "rms_median": float(np.median(rms)) if rms.size else float("nan"),
         "suspected": suspected,
         "dark": [cell for cell in cracks.cells if cell.dark],
+        "unsure": [cell for cell in cracks.cells if cell.crack_class == "unsure"],
+        "in_mm": inspection.settings.cell_width_mm is not None,
+        "length_text": length_text,
+        "tooltip": tooltip,
+        "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
+        "class_rule": CLASS_RULE,
+        "earned_rule": EARNED_RULE,
         "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,
-        "module": _jpeg(picture),
-        "overlay": _overlay(cracks.probability, marks, _MODULE_PX),
+        "module": jpeg_url(picture),
+        "overlay": overlay_url(cracks.probability, marks, _MODULE_PX),
         "boxes": _boxes(cracks.cells, grid, picture.shape[1] / grid.shape[1]),
         "picture_size": picture.shape[1::-1],
-        "consistency": _jpeg(_grey(_shrunk(reconstruction.consistency, _SUPPORT_PX), 0.5, 3.0)),
-        "support": _jpeg(_grey(_shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
+        "consistency": jpeg_url(grey(shrunk(reconstruction.consistency, _SUPPORT_PX), 0.5, 3.0)),
+        "support": jpeg_url(grey(shrunk(reconstruction.support, _SUPPORT_PX), 0.0, 1.0)),
         "frames": _frame_rows(inspection),
         "camera": registration.camera,
         "focal_length": _FOCAL_LENGTH[
@@ -226,68 +230,3 @@ def _boxes(cells: tuple[CellFeatures, ...], grid: HrGrid, scale: float) -> list[
         left, top = scale * x.start + inset, scale * y.start + inset
         found.append(_Box(cell, left, top, width - 2 * inset, height - 2 * inset))
     return found
-
-
-def _marks(cracks: CrackMap, grid: HrGrid) -> NDArray[np.float32]:
-    """1 where a mark counts as suspected crack."""
-    marks = np.zeros(grid.shape, np.float32)
-    for cell in cracks.cells:
-        where = grid.cell_slices(cell.row, cell.col)
-        if cell.crack_suspected:
-            found = crack_marks(
-                cracks.probability[where],
-                cracks.threshold,
-                grid.pixels_per_unit,
-                cracks.least_extent_cells,
-            )
-            for mark in found:
-                marks[where][mark] = 1.0
-    return marks
-
-
-def _contrast(image: NDArray[np.float32], grid: HrGrid) -> tuple[float, float]:
-    """Black and white of the pictures: the range of the module, without its extreme pixels."""
-    first, last = (
-        grid.cell_slices(0, 0),
-        grid.cell_slices(grid.layout.rows - 1, grid.layout.cols - 1),
-    )
-    inside = image[first[0].start : last[0].stop, first[1].start : last[1].stop]
-    low, high = np.percentile(inside[np.isfinite(inside)], [0.5, 99.5])
-    return float(low), float(max(high, low + 1e-6))
-
-
-def _shrunk(image: NDArray[np.float32], longest: int) -> NDArray[np.float32]:
-    scale = longest / max(image.shape)
-    if scale >= 1:
-        return image
-    size = (max(round(image.shape[1] * scale), 1), max(round(image.shape[0] * scale), 1))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _peaks(probability: NDArray[np.float32], longest: int) -> NDArray[np.float32]:
-    """Shrunk with the maximum of what falls together: a crack must not fade away."""
-    size = int(np.ceil(max(probability.shape) / longest)) | 1
-    return _shrunk(np.asarray(cv2.dilate(probability, np.ones((size, size))), np.float32), longest)
-
-
-def _grey(image: NDArray[np.float32], low: float, high: float) -> NDArray[np.uint8]:
-    share = np.clip((np.nan_to_num(image) - low) / (high - low), 0, 1)
-    return np.asarray(np.round(255 * share), np.uint8)
-
-
-def _overlay(probability: NDArray[np.float32], marks: NDArray[np.float32], longest: int) -> str:
-    """Marks in colour, what else the detector answers to faintly; transparent elsewhere."""
-    p = np.nan_to_num(_peaks(probability, longest))
-    alpha = np.where(_peaks(marks, longest) > 0.5, 60 + 160 * p, 90 * p * (p > 0.25))
-    bgra = np.empty((*p.shape, 4), np.uint8)
-    bgra[..., :3] = _CRACK_RGB[::-1]
-    bgra[..., 3] = np.clip(alpha, 0, 255)
-    return _data_url("image/png", cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1])
-
-
-def _jpeg(picture: NDArray[np.uint8]) -> str:
-    return _data_url("image/jpeg", cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 88])[1])
-
-
-def _data_url(kind: str, data: NDArray[np.uint8]) -> str:
-    return f"data:{kind};base64,{base64.b64encode(data.tobytes()).decode()}"

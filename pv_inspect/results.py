@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -20,14 +19,14 @@ from numpy.typing import NDArray
 from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, OperatingPoint
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
 from pv_inspect.report import render_report
-from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
 
@@ -49,7 +48,6 @@ RESULT_FILES = (
     "report.html",
     "geometry.json",
 )
-GEOMETRY_JSON = "geometry.json"
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
 _TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
@@ -72,7 +70,9 @@ class FrameResult:
     gain, offset : float
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
-        Residual in units of the noise.
+        Residual against the mean of the frames, in units of the noise.
+    residual : float
+        Residual against the module image, in units of the noise.
     """
 
     file: str
@@ -83,6 +83,7 @@ class FrameResult:
     gain: float
     offset: float
     rms: float
+    residual: float = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +103,15 @@ class Result:
         Row-major.
     settings : Settings
     crack_threshold : float
+    detector : str
+        Name of what found the cracks.
+    least_extent_cells : float
+        Marks that are shorter count as no crack in ``cells``.
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
+    prior_weight, psf_sigma_lr_px : float
+        lambda and optical blur that were used.
     record : dict
         All of ``result.json``.
     """
@@ -120,10 +127,23 @@ class Result:
     cells: tuple[CellFeatures, ...]
     settings: Settings
     crack_threshold: float
+    detector: str
+    least_extent_cells: float
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
+    prior_weight: float = float("nan")
+    psf_sigma_lr_px: float = float("nan")
     record: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        layout = self.grid.layout
+        return f"<Result in {str(self.folder)!r}: {layout.rows} x {layout.cols} cells>"
+
+    def _repr_html_(self) -> str:
+        from pv_inspect.display import result_html
+
+        return result_html(self)
 
 
 def tile_name(row: int, col: int) -> str:
@@ -189,8 +209,12 @@ def read_result(folder: Path) -> Result:
         x, y = record["origin_px"]
         ppu, magnification = float(record["pixels_per_cell"][0]), float(record["magnification"])
         threshold = float(record["crack_threshold"])
+        detector = str(record["crack_detector"])
+        # Results of earlier versions do not say it.
+        extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
         made_with = dict(record["versions"])
+        weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
     image = _read_image(folder / "module_hr.tif")
     support = _read_image(folder / "support.tif", image.shape)
     consistency = _read_image(folder / "consistency.tif", image.shape)
@@ -210,9 +234,13 @@ def read_result(folder: Path) -> Result:
         cells,
         settings,
         threshold,
+        detector,
+        float(extent),
         seconds,
         warnings,
         made_with,
+        weight,
+        sigma,
         record,
     )
 
@@ -283,47 +311,18 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "lambda_curve": reconstruction.lambda_curve,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
+        "crack_least_extent_cells": cracks.least_extent_cells,
+        "cells": [
+            {**asdict(cell), "crack_class": cell.crack_class, "marked_class": cell.marked_class}
+            for cell in cracks.cells
+        ],
+        "class_rule": CLASS_RULE.splitlines(),
         "seconds": {**seconds, "total": sum(seconds.values())},
         "warnings": list(inspection.warnings),
         "versions": versions(),
     }
     plain: dict[str, Any] = _plain(record)
     return plain
-
-
-def source_record(sequence: Sequence, out: Path) -> dict[str, Any]:
-    """Where the frames are: absolute, and relative to the result folder, which may move along."""
-    given = sequence.opened_from
-    record = {}
-    for name, turn in (("path", str), ("relative", _relative_to(out))):
-        record[name] = [turn(p) for p in given] if isinstance(given, tuple) else turn(given)
-    return record
-
-
-def _relative_to(out: Path) -> Callable[[Path], str | None]:
-    def turn(path: Path) -> str | None:
-        try:
-            return os.path.relpath(os.path.realpath(path), os.path.realpath(out))
-        except ValueError:  # another drive
-            return None
-
-    return turn
-
-
-def geometry_record(inspection: Inspection) -> dict[str, Any]:
-    """Return crossing points and calibration, which a later run can start from."""
-    crossings, calibration = inspection.crossings, inspection.calibration
-    assert crossings is not None
-    assert calibration is not None
-    return {
-        "crossings": [vars(frame) for frame in crossings.frames],
-        "calibration": {
-            name: value
-            for name, value in vars(calibration).items()
-            if name not in {"layout", "camera"}
-        },
-        "camera": {"K": calibration.camera.K, "kappa": calibration.camera.kappa},
-    }
 
 
 def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
@@ -373,10 +372,11 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
 def _csv(cells: tuple[CellFeatures, ...]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class"])
+    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class", "marked_class"])
     for cell in cells:
         tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
-        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), cell.crack_class])
+        classes = cell.crack_class, cell.marked_class
+        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), *classes])
     return text.getvalue()
 
 
@@ -411,6 +411,7 @@ def _frame_from(entry: dict[str, Any]) -> FrameResult:
         number("gain"),
         number("offset"),
         number("rms"),
+        number("residual"),
     )
 
 

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from pv_inspect.calibration import Calibration
-from pv_inspect.camera import Camera
 from pv_inspect.cells import cut_cells
 from pv_inspect.cracks import CrackMap
-from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
+from pv_inspect.origin import places, read_geometry
 from pv_inspect.pipeline import Inspection
 from pv_inspect.reconstruction import Reconstruction
 from pv_inspect.registration import Registration
-from pv_inspect.results import GEOMETRY_JSON, Result
+from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
 
 __all__ = ["reopen", "resume"]
-
-Array = NDArray[np.float64]
 
 
 def reopen(result: Result) -> Sequence:
@@ -38,8 +28,7 @@ def reopen(result: Result) -> Sequence:
         If they are not where they were, or are others now.
     """
     source = result.record.get("source", {})
-    places = [_place(source.get(name), result.folder) for name in ("relative", "path")]
-    known = [place for place in places if place]
+    known = places(source, result.folder)
     found = [place for place in known if all(path.exists() for path in place)]
     if not found:
         where = f" at {known[-1][0]}" if known else ""
@@ -110,9 +99,13 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
         ),
     )
     cracks = CrackMap(
-        result.cracks, result.crack_threshold, str(record["crack_detector"]), result.cells
+        result.cracks,
+        result.crack_threshold,
+        str(record["crack_detector"]),
+        result.cells,
+        result.least_extent_cells,
     )
-    crossings, calibration = _geometry(result)
+    crossings, calibration = read_geometry(result.folder, layout)
     seconds = {stage: t for stage, t in result.seconds.items() if stage != "total"}
     return Inspection(
         sequence,
@@ -127,57 +120,6 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
         seconds,
         result.warnings,
     )
-
-
-def _geometry(result: Result) -> tuple[Crossings | None, Calibration | None]:
-    path, layout = result.folder / GEOMETRY_JSON, result.grid.layout
-    if not path.is_file():
-        return None, None
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(
-            FrameCrossings(
-                _array(frame["points_px"], (layout.n_crossings, 2)),
-                np.nan_to_num(_array(frame["sigma_px"], (layout.n_crossings,)), nan=np.inf),
-                np.array(frame["measured"], bool),
-                str(frame["why"]),
-            )
-            for frame in record["crossings"]
-        )
-        fit = record["calibration"]
-        n = len(found)
-        camera = Camera(np.array(record["camera"]["K"], np.float64), record["camera"]["kappa"])
-        sigma = fit["crossing_sigma_px"]
-        calibration = Calibration(
-            layout,
-            camera,
-            _array(fit["homographies"], (n, 3, 3)),
-            np.array(fit["used"], bool),
-            tuple(map(str, fit["why"])),
-            _array(fit["rms_px"], (n,)),
-            bool(fit["focal_convention"]),
-            float(fit["kappa_std"]),
-            None if sigma is None else _array(sigma, (n, layout.n_crossings)),
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InspectionError(
-            f"{path} is damaged ({error}): run the inspection again, it starts with the detection."
-        ) from None
-    return Crossings(layout, found), calibration
-
-
-def _place(given: Any, folder: Path) -> list[Path]:
-    """Paths of one record, out of the folder where they are relative; empty if unknown."""
-    given = given if isinstance(given, list) else [given]
-    return [] if None in given else [Path(os.path.normpath(folder / path)) for path in given]
-
-
-def _array(values: Any, shape: tuple[int, ...]) -> Array:
-    """Numbers out of JSON, None being NaN."""
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"an array of {array.shape} where {shape} is expected")
-    return array
 
 
 def _numbers(values: list[float | None]) -> list[float]:

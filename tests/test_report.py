@@ -87,6 +87,56 @@ def test_a_dark_cell_is_named_and_not_judged() -> None:
     assert "dark, not judged" in text
 
 
+def titles(html: str) -> list[str]:
+    """Tooltips of the tiles: titles of the boxes on the picture."""
+    return [part.partition("</title>")[0] for part in html.split("<title>")[2:]]
+
+
+def test_every_tile_tells_its_features_and_its_class() -> None:
+    found = titles(render_report(made_inspection()))
+    assert len(found) == 6
+    assert "Row 1, column 2" in found[1]
+    assert "crack length: 0.9" in found[1]
+    assert "cell widths" in found[1]
+    assert "class: unknown" in found[1]
+    assert "class: none" in found[0]
+    assert not any("nan" in title for title in found)
+
+
+def test_lengths_are_in_millimetres_if_the_size_of_the_cell_is_given() -> None:
+    inspection = made_inspection(settings=Settings(cell_width_mm=156.0))
+    assert inspection.cracks is not None
+    cells = tuple(
+        replace(c, crack_length_mm=156 * c.crack_length_cells) for c in inspection.cracks.cells
+    )
+    html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
+    assert "Length, mm" in html
+    assert f"crack length: {cells[1].crack_length_mm:.0f} mm" in titles(html)[1]
+
+
+def test_every_column_of_the_table_can_be_sorted_by_a_number() -> None:
+    html = render_report(made_inspection())
+    table = html[html.index('<table id="cells">') : html.index("</table>")]
+    values = [part.partition('"')[0].split() for part in table.split('data-values="')[1:]]
+    assert len(values) == 6
+    assert {len(row) for row in values} == {table.count("<th") - table.count("<thead")}
+    assert np.isfinite(np.array(values, float)).all()
+
+
+def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
+    inspection = made_inspection()
+    assert inspection.cracks is not None
+    first, *others = inspection.cracks.cells
+    assert "not earned" not in Reader(render_report(inspection)).text.split("Classes")[0]
+    cells = (replace(first, unsupported_share=0.8, unsure=True), *others)
+    html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
+    text = " ".join(Reader(html).text.split())
+    assert 'In 1 cell the frames do not earn an answer: the class is "unsure".' in text
+    assert "unsure (none) ✱" in text
+    assert "80% of the cell without support" in titles(html)[0]
+    assert "Not earned by the frames: at least half" in text
+
+
 def test_settings_are_shown_with_the_values_that_were_used() -> None:
     text = Reader(render_report(made_inspection())).text
     assert "2, from module.json" in text

@@ -3,7 +3,7 @@ from __future__ import annotations
 import errno
 import json
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import pytest
 import tifffile
 
 from pv_inspect import folders
+from pv_inspect.cracks import CellFeatures, OperatingPoint
 from pv_inspect.errors import InspectionError
 from pv_inspect.results import check_writable, read_result, tile_name, write_result
 from tests.handmade import REASON, made_inspection, made_registration
@@ -71,10 +72,38 @@ def test_images_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert np.isnan(result.frames[1].rms)
     for read, written in zip(result.cells, inspection.cracks.cells, strict=True):
         assert (read.row, read.col) == (written.row, written.col)
-        assert read.crack_length_cells == pytest.approx(written.crack_length_cells, rel=1e-5)
+        for spec in fields(CellFeatures):
+            value = getattr(written, spec.name)
+            assert getattr(read, spec.name) == pytest.approx(value, rel=1e-5, nan_ok=True)
+    assert result.detector == inspection.cracks.detector
+    assert result.least_extent_cells == inspection.cracks.least_extent_cells
     tile = tifffile.imread(tmp_path / "out" / "cells" / "r01_c02.tif")
     assert inspection.tiles is not None
     np.testing.assert_array_equal(tile, inspection.tiles.images[0, 1])
+
+
+def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path) -> None:
+    inspection = made_inspection()
+    assert inspection.cracks is not None
+    write_result(inspection, tmp_path / "out")
+    record = strict(tmp_path / "out" / "result.json")
+    cell = record["cells"][1]
+    assert {spec.name for spec in fields(CellFeatures)} < set(cell)
+    assert cell["crack_length_cells"] == inspection.cracks.cells[1].crack_length_cells
+    assert cell["crack_length_mm"] is None
+    assert (cell["crack_class"], cell["marked_class"]) == ("unknown", "unknown")
+    assert any(line.startswith("unsure ") for line in record["class_rule"])
+    head = (tmp_path / "out" / "cells.csv").read_text().splitlines()[0]
+    assert head.endswith("unsupported_share,unsure,crack_class,marked_class")
+
+
+def test_a_result_that_does_not_say_the_least_extent_can_be_read(tmp_path: Path) -> None:
+    write_result(made_inspection(), tmp_path / "out")
+    path = tmp_path / "out" / "result.json"
+    record = strict(path)
+    del record["crack_least_extent_cells"]
+    path.write_text(json.dumps(record))
+    assert read_result(tmp_path / "out").least_extent_cells == OperatingPoint.least_extent_cells
 
 
 def test_the_module_image_states_its_resolution_in_pixels_per_cell_width(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 
 import cv2
@@ -16,6 +16,7 @@ from pv_inspect.cracks.isolation import Busbars, isolated_share
 __all__ = [
     "CLASS_RULE",
     "FEATURES",
+    "UNSUPPORTED",
     "CellFeatures",
     "OperatingPoint",
     "crack_marks",
@@ -32,6 +33,9 @@ A       cracks that cut off less than 1 % of the cell even if no current crossed
 B       what the cracks would cut off is 0.4 to 0.8 times as bright as the rest: badly connected
 C       it is less than 0.4 times as bright as the rest: cut off
 unknown cracks, but no busbars were found
+unsure  the frames did not earn the answer: without the cracks of which at least half lies on pixels
+        with a support under 0.1 the class would be another one, or there is no crack and at least
+        half of the cell has such pixels
 """
 
 # A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
@@ -49,6 +53,10 @@ _DARK_LEVEL = 0.5
 # The score looks at as many pixels as a mark of this length and width has.
 _SCORE_LENGTH_CELLS = 0.1
 _SCORE_WIDTH_CELLS = 0.01
+# Frames that all stand in one place reach about this support (`pv_inspect.support`): pixels with
+# less show no detail that is finer than the pixels of a frame and comes from the frames.
+UNSUPPORTED = 0.1
+_UNEARNED_SHARE = 0.5
 # Classes: less than this share of the cell counts as nothing cut off, and brightness of what would
 # be cut off relative to the rest of the cell.
 _LEAST_ISOLATED = 0.01
@@ -107,6 +115,11 @@ class CellFeatures:
         Mean support of the image on the marks, or over the cell if there are none: the share of
         its finest detail that the frames have determined. Where it is low, fine cracks can
         neither be trusted nor excluded. NaN if no support map is known.
+    unsupported_share : float
+        Share of the crack length, or of the area of a cell without cracks, that lies on pixels
+        with a support under 0.1. NaN if no support map is known.
+    unsure : bool
+        Whether the class hangs on what the frames did not earn (last entry of `CLASS_RULE`).
     """
 
     row: int
@@ -122,6 +135,8 @@ class CellFeatures:
     isolated_area_share: float = float("nan")
     isolated_brightness: float = float("nan")
     crack_support: float = float("nan")
+    unsupported_share: float = float("nan")
+    unsure: bool = False
 
     @property
     def crack_suspected(self) -> bool:
@@ -134,8 +149,16 @@ class CellFeatures:
         return self.dark_area_share >= _DARK_CELL_SHARE
 
     @property
-    def crack_class(self) -> str:
-        """Class after `CLASS_RULE`; A, B and C are the modes of Koentges et al. [1]_.
+    def earned(self) -> bool:
+        """Whether less than half of the cracks (of a cell without: of its area) is unsupported.
+
+        True if no support map is known.
+        """
+        return not self.unsupported_share >= _UNEARNED_SHARE
+
+    @property
+    def marked_class(self) -> str:
+        """Class after `CLASS_RULE` if every mark is right; A, B and C are modes of [1]_.
 
         References
         ----------
@@ -145,15 +168,24 @@ class CellFeatures:
         """
         if self.dark:
             return "dark"
-        if not self.crack_suspected:
-            return "none"
-        if math.isnan(self.isolated_area_share):
-            return "unknown"
-        if self.isolated_area_share < _LEAST_ISOLATED or math.isnan(self.isolated_brightness):
-            return "A"
-        if self.isolated_brightness >= _CONNECTED:
-            return "A"
-        return "B" if self.isolated_brightness >= _DISCONNECTED else "C"
+        return _class_of(self.crack_instances, self.isolated_area_share, self.isolated_brightness)
+
+    @property
+    def crack_class(self) -> str:
+        """Class after `CLASS_RULE`, "unsure" included."""
+        return "unsure" if self.unsure and not self.dark else self.marked_class
+
+
+def _class_of(instances: int, isolated_share: float, isolated_brightness: float) -> str:
+    if not instances:
+        return "none"
+    if math.isnan(isolated_share):
+        return "unknown"
+    if isolated_share < _LEAST_ISOLATED or math.isnan(isolated_brightness):
+        return "A"
+    if isolated_brightness >= _CONNECTED:
+        return "A"
+    return "B" if isolated_brightness >= _DISCONNECTED else "C"
 
 
 # Names of the features, as in tables.
@@ -173,11 +205,15 @@ def from_texts(row: int, col: int, line: Mapping[str, str]) -> CellFeatures:
     KeyError, ValueError, TypeError
         If a value is missing or no number.
     """
-    counts = {spec.name for spec in fields(CellFeatures) if spec.type == "int"}
+    kinds: dict[str, Callable[[str], float]] = {
+        "int": int,
+        "float": float,
+        "bool": lambda text: bool(int(text)),
+    }
     values = {
-        name: int(line[name]) if name in counts else float(line[name])
-        for name in FEATURES
-        if name in line
+        spec.name: kinds[str(spec.type)](line[spec.name])
+        for spec in fields(CellFeatures)
+        if spec.name in FEATURES and spec.name in line
     }
     return CellFeatures(row=row, col=col, **values)  # type: ignore[arg-type]
 
@@ -237,6 +273,7 @@ def measure_cell(
     cell_width_mm: float | None = None,
     least_extent_cells: float = OperatingPoint.least_extent_cells,
     support: NDArray[np.float32] | None = None,
+    marks: list[NDArray[np.bool_]] | None = None,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -259,6 +296,8 @@ def measure_cell(
         See `crack_marks`.
     support : (h, w) float32, optional
         Support map of the cell.
+    marks : list of (h, w) bool, optional
+        What a person has marked as cracks, instead of what `crack_marks` finds.
 
     Returns
     -------
@@ -266,12 +305,22 @@ def measure_cell(
     """
     dark_share, largest_dark = _dark_shares(tile, usual_intensity, cell_width_px)
     readable = dark_share < _DARK_CELL_SHARE
-    marks = (
-        crack_marks(probability, threshold, cell_width_px, least_extent_cells) if readable else []
-    )
-    chains = [chain for mark in marks for chain in branches(mark)]
-    length = sum(length_of(chain) for chain in chains) / cell_width_px
+    if marks is None:
+        found = crack_marks(probability, threshold, cell_width_px, least_extent_cells)
+        marks = found if readable else []
+    lines = [branches(mark) for mark in marks]
+    length = sum(length_of(chain) for chains in lines for chain in chains) / cell_width_px
     isolated, brightness = _isolated(tile, marks, busbars)
+    unsupported, unsure = float("nan"), False
+    if support is not None:
+        shares = [_unsupported_share(chains, support) for chains in lines]
+        unsupported = _unsupported_share([chain for chains in lines for chain in chains], support)
+        if readable and not marks:
+            unsure = unsupported >= _UNEARNED_SHARE
+        elif marks:
+            firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNEARNED_SHARE]
+            without = _class_of(len(firm), *_isolated(tile, firm, busbars))
+            unsure = without != _class_of(len(marks), isolated, brightness)
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)
     n_score = min(max(n_score, 1), probability.size)
     highest = np.partition(probability, probability.size - n_score, axis=None)[-n_score:]
@@ -283,13 +332,29 @@ def measure_cell(
         dark_area_share=dark_share,
         mean_intensity=float(tile.mean(dtype=np.float64)),
         crack_score=float(highest.mean(dtype=np.float64)),
-        crack_branches=len(chains),
+        crack_branches=sum(map(len, lines)),
         crack_length_mm=float("nan") if cell_width_mm is None else float(length * cell_width_mm),
         largest_dark_share=largest_dark,
         isolated_area_share=isolated,
         isolated_brightness=brightness,
         crack_support=_support_on(support, marks),
+        unsupported_share=unsupported,
+        unsure=unsure,
     )
+
+
+def _unsupported_share(chains: list[NDArray[np.float64]], support: NDArray[np.float32]) -> float:
+    """Share of the length of chains that lies on unsupported pixels; of all pixels if it is 0."""
+    low = support < UNSUPPORTED
+    total = sum(length_of(chain) for chain in chains)
+    if not total:
+        return float(low.mean())
+    bad = 0.0
+    for chain in chains:
+        middle = np.rint((chain[1:] + chain[:-1]) / 2).astype(int)
+        y, x = np.clip(middle, 0, np.array(low.shape) - 1).T
+        bad += float(np.hypot(*np.diff(chain, axis=0).T)[low[y, x]].sum())
+    return bad / total
 
 
 def _support_on(support: NDArray[np.float32] | None, marks: list[NDArray[np.bool_]]) -> float:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -187,8 +189,94 @@ def test_features_survive_a_table_and_old_tables_can_be_read() -> None:
     read = from_texts(0, 0, line)
     assert texts(read) == texts(features)
     assert isinstance(read.crack_branches, int)
+    unsure = replace(features, unsupported_share=0.7, unsure=True)
+    assert from_texts(0, 0, dict(zip(FEATURES, texts(unsure), strict=True))).unsure is True
+    assert read.unsure is False
     old = {name: line[name] for name in FEATURES[:5]}
     assert np.isnan(from_texts(0, 0, old).isolated_area_share)
+
+
+def supported(mask: np.ndarray, support: np.ndarray, beyond: float = 0.2) -> CellFeatures:
+    """A cell with a busbar at row 100 whose part above row 30 is dark, and a support map."""
+    tile = np.full(mask.shape, 0.5, np.float32)
+    tile[:30] = 0.5 * beyond
+    return measure_cell(
+        tile,
+        mask.astype(np.float32),
+        0.5,
+        row=0,
+        col=0,
+        cell_width_px=SIDE,
+        usual_intensity=0.5,
+        busbars=busbars(100),
+        support=support.astype(np.float32),
+    )
+
+
+def half_supported(rows: int, left: float = 1.0) -> np.ndarray:
+    """Support 0 in the first rows, left of a column; 0.5 elsewhere."""
+    support = np.full((SIDE, SIDE), 0.5)
+    support[:rows, : round(left * SIDE)] = 0.0
+    return support
+
+
+CUTTING, HARMLESS = ((0, 30), (199, 30)), ((100, 120), (100, 180))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.75, 1.0])
+def test_the_unsupported_share_is_that_of_the_length(share: float) -> None:
+    found = supported(drawn(CUTTING), half_supported(60, share))
+    assert found.unsupported_share == pytest.approx(share, abs=0.02)
+    assert found.earned == (share < 0.5)
+
+
+def test_without_cracks_the_unsupported_share_is_that_of_the_area() -> None:
+    nothing = np.zeros((SIDE, SIDE), bool)
+    found = supported(nothing, half_supported(50))
+    assert found.unsupported_share == pytest.approx(0.25)
+    assert (found.earned, found.crack_class) == (True, "none")
+    found = supported(nothing, half_supported(120))
+    assert (found.earned, found.crack_class, found.marked_class) == (False, "unsure", "none")
+
+
+def test_a_class_that_an_unsupported_crack_decides_is_unsure() -> None:
+    both = drawn(CUTTING, HARMLESS)
+    found = supported(both, half_supported(60))
+    assert (found.crack_class, found.marked_class) == ("unsure", "C")
+    assert supported(both, half_supported(0)).crack_class == "C"
+
+
+def test_a_class_that_would_be_the_same_without_the_unsupported_crack_is_not_unsure() -> None:
+    both = drawn(CUTTING, HARMLESS)
+    support = half_supported(0)
+    support[110:190] = 0.0
+    found = supported(both, support)
+    assert (found.crack_class, found.unsure) == ("C", False)
+    assert found.unsupported_share == pytest.approx(60 / 260, abs=0.02)
+    only = supported(drawn(HARMLESS), support)
+    assert (only.crack_class, only.marked_class, only.earned) == ("unsure", "A", False)
+
+
+def test_without_a_support_map_nothing_is_unsure() -> None:
+    found = measured(drawn(CUTTING))
+    assert np.isnan(found.unsupported_share)
+    assert found.earned
+    assert not found.unsure
+
+
+def test_a_dark_cell_without_support_is_dark() -> None:
+    tile = np.full((SIDE, SIDE), 0.1, np.float32)
+    found = measure_cell(
+        tile,
+        np.zeros_like(tile),
+        0.5,
+        row=0,
+        col=0,
+        cell_width_px=SIDE,
+        usual_intensity=0.5,
+        support=np.zeros_like(tile),
+    )
+    assert found.crack_class == "dark"
 
 
 def test_support_is_that_of_the_marks_or_of_the_cell() -> None:

@@ -1,0 +1,79 @@
+"""The features of a cell in words, for tooltips and reports."""
+
+from __future__ import annotations
+
+import math
+
+from pv_inspect.cracks.features import UNSUPPORTED, CellFeatures
+
+__all__ = ["CLASS_WORDS", "EARNED_RULE", "described", "length_text", "tooltip"]
+
+# In the order of how much they matter to an expert, the worst first.
+CLASS_WORDS = {
+    "C": "cracks, a part is cut off",
+    "B": "cracks, a part is badly connected",
+    "A": "cracks, all parts are connected",
+    "unknown": "cracks, but no busbars were found",
+    "unsure": "not earned by the frames",
+    "dark": "cracks are not judged",
+    "none": "no cracks",
+}
+EARNED_RULE = (
+    "Not earned by the frames: at least half of the crack length, or of the area of a cell without "
+    f"cracks, lies on pixels with a support under {UNSUPPORTED:g}; frames reach that much even if "
+    "all stand in one place."
+)
+
+
+def length_text(cell: CellFeatures) -> str:
+    """Length of the cracks with its unit: mm if the size of the cell is known."""
+    if math.isnan(cell.crack_length_mm):
+        return f"{cell.crack_length_cells:.2f} cell widths"
+    return f"{cell.crack_length_mm:.0f} mm"
+
+
+def described(cell: CellFeatures) -> list[tuple[str, str]]:
+    """Describe a cell in pairs of what was measured and a readable value with its unit.
+
+    Parameters
+    ----------
+    cell : CellFeatures
+
+    Returns
+    -------
+    list of (str, str)
+    """
+    name = cell.crack_class
+    kind = f"{name} ({CLASS_WORDS[name]}"
+    if name == "unsure":
+        kind += f"; {cell.marked_class} if the marks are right"
+    pairs = [("class", kind + ")")]
+    if cell.crack_suspected:
+        n = cell.crack_branches
+        cracks = f"{cell.crack_instances}, {n} {'branch' if n == 1 else 'branches'}"
+        pairs += [("cracks", cracks), ("crack length", length_text(cell))]
+        cut_off, brightness = cell.isolated_area_share, cell.isolated_brightness
+        if math.isnan(cut_off):
+            pairs.append(("cut off at worst", "unknown, no busbars were found"))
+        else:
+            bright = "" if math.isnan(brightness) else f", {brightness:.0%} as bright as the rest"
+            pairs.append(("cut off at worst", f"{cut_off:.1%} of the cell{bright}"))
+    dark = f"{cell.dark_area_share:.1%} of the cell, largest piece {cell.largest_dark_share:.1%}"
+    pairs += [
+        ("dark area", dark),
+        ("mean brightness", f"{cell.mean_intensity:.1%} of full scale"),
+        ("crack score", f"{cell.crack_score:.2f} of 1"),
+    ]
+    if not math.isnan(cell.unsupported_share):
+        where = "crack length" if cell.crack_suspected else "cell"
+        earned = "yes" if cell.earned else "no"
+        share = f"{cell.unsupported_share:.0%} of the {where} without support"
+        pairs.append(("earned by the frames", f"{earned}, {share}"))
+    return pairs
+
+
+def tooltip(cell: CellFeatures) -> str:
+    """Everything about a cell, one feature per line, its place first."""
+    lines = [f"Row {cell.row + 1}, column {cell.col + 1}"]
+    lines += [f"{what}: {value}" for what, value in described(cell)]
+    return "\n".join(lines)

@@ -1,0 +1,137 @@
+"""Lines of the history of a review, and undo and redo on it.
+
+Every line holds the whole state of one cell for one rater from then on. An undo or redo is a line
+as well, so that nothing is ever lost.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+from pv_inspect.review.verdicts import Cell, Verdict, VerdictKind, now
+
+__all__ = ["CONTENT", "LINE", "Change", "Entry", "append", "entry_from", "latest", "stacks"]
+
+CONTENT = (
+    "kind",
+    "note",
+    "time",
+    "settings",
+    "software",
+    "crack_length_cells",
+    "isolated_area_share",
+    "mask",
+)
+# What `entry_from` reads.
+LINE = f'id, action, stored, rater, "row", col, {", ".join(CONTENT)}'
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of the history.
+
+    Parameters
+    ----------
+    number : int
+        Grows with time.
+    action : str
+        ``edit``, ``undo`` or ``redo``.
+    stored : str
+        ISO 8601, UTC.
+    rater : str
+    cell : (int, int)
+        (row, column) from 0.
+    verdict : Verdict or None
+        The verdict from then on; None if there is none.
+    corrected : bool
+        Whether there is a corrected crack mask from then on.
+    """
+
+    number: int
+    action: str
+    stored: str
+    rater: str
+    cell: Cell
+    verdict: Verdict | None
+    corrected: bool
+
+
+@dataclass(frozen=True)
+class Change:
+    """What an undo or redo has changed.
+
+    Parameters
+    ----------
+    cell : (int, int)
+        (row, column) from 0.
+    verdict : Verdict or None
+        The verdict that holds now.
+    mask_changed : bool
+        Whether the corrected crack mask is another one now.
+    """
+
+    cell: Cell
+    verdict: Verdict | None
+    mask_changed: bool
+
+
+def entry_from(line: tuple[Any, ...]) -> Entry:
+    """Read a line, the columns of `LINE`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If it is damaged.
+    """
+    number, action, stored, rater, row, col, *rest = line
+    content = dict(zip(CONTENT, rest, strict=True))
+    corrected = content.pop("mask") is not None
+    kind = content.pop("kind")
+    verdict = None if kind is None else Verdict(row, col, VerdictKind(kind), rater, **content)
+    return Entry(number, action, stored, rater, (row, col), verdict, corrected)
+
+
+def latest(
+    connection: sqlite3.Connection, rater: str, cell: Cell, last: int | None = None
+) -> dict[str, object]:
+    """State of a cell for a rater, as it was when the entry ``last`` was the latest."""
+    found = connection.execute(
+        f'SELECT {", ".join(CONTENT)} FROM history WHERE rater = ?1 AND "row" = ?2 '
+        "AND col = ?3 AND (?4 IS NULL OR id <= ?4) ORDER BY id DESC LIMIT 1",
+        (rater, *cell, last),
+    ).fetchone()
+    return dict(zip(CONTENT, found or [None] * len(CONTENT), strict=True))
+
+
+def append(
+    connection: sqlite3.Connection,
+    action: str,
+    edit: int | None,
+    rater: str,
+    cell: Cell,
+    content: dict[str, object],
+) -> None:
+    """Add a line; ``edit`` is the line that an undo or redo is about."""
+    names = ("action", "edit", "stored", "rater", '"row"', "col", *CONTENT)
+    values = (action, edit, now(), rater, *cell, *(content[name] for name in CONTENT))
+    marks = ", ".join("?" * len(names))
+    connection.execute(f"INSERT INTO history ({', '.join(names)}) VALUES ({marks})", values)
+
+
+def stacks(connection: sqlite3.Connection, rater: str) -> tuple[list[int], list[int]]:
+    """Numbers of the edits of a rater that can be undone, and of those that can be redone."""
+    done: list[int] = []
+    undone: list[int] = []
+    for number, action in connection.execute(
+        "SELECT id, action FROM history WHERE rater = ? ORDER BY id", (rater,)
+    ):
+        if action == "undo":
+            undone.append(done.pop())
+        elif action == "redo":
+            done.append(undone.pop())
+        else:
+            done.append(number)
+            undone.clear()
+    return done, undone

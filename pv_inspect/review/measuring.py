@@ -1,0 +1,135 @@
+"""The crack features of a cell after a person has corrected its marks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.cracks import (
+    BusbarFinder,
+    CellFeatures,
+    CrackDetector,
+    measure_cell,
+)
+from pv_inspect.cracks.isolation import Busbars, busbars_from_image, busbars_from_map
+from pv_inspect.errors import InspectionError
+from pv_inspect.results import Result
+
+__all__ = ["Measure", "measured"]
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """What all cells of a module share when they are measured.
+
+    Parameters
+    ----------
+    threshold : float
+        Probability from which a pixel counts as crack.
+    cell_width_px : float
+        HR pixels per cell width.
+    usual_intensity : float
+        Median intensity of the cells of the module.
+    busbars : Busbars or None
+        Without them nothing is said about isolated areas.
+    cell_width_mm : float or None
+    """
+
+    threshold: float
+    cell_width_px: float
+    usual_intensity: float
+    busbars: Busbars | None = None
+    cell_width_mm: float | None = None
+
+    @classmethod
+    def of(cls, result: Result, detector: CrackDetector | None = None) -> Measure:
+        """Measure of a result.
+
+        Parameters
+        ----------
+        result : Result
+        detector : CrackDetector, optional
+            If it sees busbars, they are looked for with it in the mean of all cells; else as lines
+            in that mean.
+
+        Returns
+        -------
+        Measure
+        """
+        grid, layout = result.grid, result.grid.layout
+        places = np.ndindex(layout.rows, layout.cols)
+        tiles = np.array([result.image[grid.cell_slices(*place)] for place in places])
+        mean = tiles.mean(0, dtype=np.float32)
+        if isinstance(detector, BusbarFinder):
+            busbars = busbars_from_map(detector.read(mean)[1])
+        else:
+            busbars = busbars_from_image(mean)
+        return cls(
+            result.crack_threshold,
+            grid.pixels_per_unit,
+            float(np.median(tiles)),
+            busbars,
+            result.settings.cell_width_mm,
+        )
+
+
+def measured(
+    mask: Mask,
+    tile: Image,
+    probability: Image,
+    measure: Measure,
+    *,
+    row: int,
+    col: int,
+    support: Image | None = None,
+) -> CellFeatures:
+    """Measure a cell with the marks that a person has drawn.
+
+    Parameters
+    ----------
+    mask : (h, w) bool
+        Corrected marks. All of them count, however short or wide, also in a dark cell: a person
+        has looked at them.
+    tile, probability : (h, w) float32
+        Image of the cell and what the detector answered; the crack score remains the detector's.
+    measure : Measure
+    row, col : int
+        Position of the cell in the module.
+    support : (h, w) float32, optional
+        Support map of the cell.
+
+    Returns
+    -------
+    CellFeatures
+
+    Raises
+    ------
+    InspectionError
+        If the mask is of another size than the cell.
+    """
+    if mask.shape != tile.shape:
+        raise InspectionError(
+            f"The corrected mask of row {row + 1}, column {col + 1} is {mask.shape[1]} x "
+            f"{mask.shape[0]} px, the cell is {tile.shape[1]} x {tile.shape[0]} px: it was drawn "
+            "on another result; draw it again."
+        )
+    n_labels, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    return measure_cell(
+        tile,
+        probability,
+        measure.threshold,
+        row=row,
+        col=col,
+        cell_width_px=measure.cell_width_px,
+        usual_intensity=measure.usual_intensity,
+        busbars=measure.busbars,
+        cell_width_mm=measure.cell_width_mm,
+        support=support,
+        marks=[labels == k for k in range(1, n_labels)],
+    )

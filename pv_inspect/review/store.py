@@ -1,0 +1,380 @@
+"""The verdicts of a result folder, kept in a database that outlives crashes."""
+
+from __future__ import annotations
+
+import json
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from threading import RLock
+from time import sleep
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.review.entries import (
+    LINE,
+    Change,
+    Entry,
+    append,
+    entry_from,
+    latest,
+    stacks,
+)
+from pv_inspect.review.schema import damaged, failure, opened
+from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
+
+__all__ = ["REVIEW_FILE", "ReviewState", "ReviewStore"]
+
+REVIEW_FILE = "review.sqlite"
+Mask = NDArray[np.bool_]
+
+_REPLACED_S = 0.02
+
+
+@dataclass(frozen=True)
+class ReviewState:
+    """Where a rater has been.
+
+    Parameters
+    ----------
+    rater : str
+    row, col : int
+        Selected cell.
+    """
+
+    rater: str
+    row: int
+    col: int
+
+
+class ReviewStore:
+    """The review of one module: verdicts, corrected masks, module data, and where one was.
+
+    A method that stores has stored durably when it returns; when it raises, nothing has changed
+    and it may be called again with the same arguments. Several processes may use the same folder
+    at the same time, each sees what the others have stored; one store may be shared by threads.
+    The file is made by the first thing that is stored.
+
+    Parameters
+    ----------
+    folder : Path
+        Result folder.
+    busy_s : float
+        How long to wait for another process that is writing.
+
+    Raises
+    ------
+    InspectionError
+        By every method, in one sentence: the folder is write-protected, the disk is full, the file
+        is damaged, of a newer version or held by another program.
+    """
+
+    def __init__(self, folder: Path, busy_s: float = 2.0) -> None:
+        self.path = Path(os.path.realpath(folder)) / REVIEW_FILE
+        self._busy_s = busy_s
+        self._lock = RLock()
+        self._connection: sqlite3.Connection | None = None
+        self._file: tuple[int, int] | None = None
+
+    def __enter__(self) -> ReviewStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the file; it is opened again when it is needed."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = self._file = None
+
+    def give(self, verdict: Verdict) -> None:
+        """Store a verdict; a corrected mask of the cell stays, and its measures with it."""
+        with self._writing() as connection:
+            content = latest(connection, verdict.rater, verdict.cell)
+            content |= {"kind": verdict.kind.value, "note": verdict.note, "time": verdict.time}
+            content |= {"settings": verdict.settings, "software": verdict.software}
+            if verdict.crack_length_cells is not None:
+                content["crack_length_cells"] = verdict.crack_length_cells
+                content["isolated_area_share"] = verdict.isolated_area_share
+            append(connection, "edit", None, verdict.rater, verdict.cell, content)
+
+    def withdraw(self, cell: Cell, rater: str) -> None:
+        """Take a verdict back: the cell is not judged any more. A corrected mask stays."""
+        check_entry(cell, rater)
+        with self._writing() as connection:
+            content = latest(connection, rater, cell)
+            content |= dict.fromkeys(("kind", "note", "time", "settings", "software"))
+            append(connection, "edit", None, rater, cell, content)
+
+    def correct(
+        self,
+        cell: Cell,
+        rater: str,
+        mask: Mask | None,
+        crack_length_cells: float | None = None,
+        isolated_area_share: float | None = None,
+    ) -> None:
+        """Store a corrected crack mask and what was measured on it; the verdict stays.
+
+        Parameters
+        ----------
+        cell : (int, int)
+            (row, column) from 0.
+        rater : str
+        mask : (h, w) bool or None
+            None goes back to what the detector has found.
+        crack_length_cells, isolated_area_share : float or None
+            See `Verdict`; `pv_inspect.review.measuring` measures them.
+        """
+        check_entry(cell, rater)
+        with self._writing() as connection:
+            content = latest(connection, rater, cell)
+            content |= {"mask": None, "crack_length_cells": None, "isolated_area_share": None}
+            if mask is not None:
+                stored = connection.execute("INSERT INTO masks (png) VALUES (?)", (_png(mask),))
+                content |= {
+                    "mask": stored.lastrowid,
+                    "crack_length_cells": crack_length_cells,
+                    "isolated_area_share": isolated_area_share,
+                }
+            append(connection, "edit", None, rater, cell, content)
+
+    def undo(self, rater: str) -> Change | None:
+        """Take back the rater's last edit that is not taken back; None if there is none."""
+        return self._step(rater, "undo")
+
+    def redo(self, rater: str) -> Change | None:
+        """Bring back the rater's last edit that was taken back; None if there is none."""
+        return self._step(rater, "redo")
+
+    def can_undo(self, rater: str) -> bool:
+        """Whether `undo` would do something."""
+        with self._reading() as connection:
+            return connection is not None and bool(stacks(connection, rater)[0])
+
+    def can_redo(self, rater: str) -> bool:
+        """Whether `redo` would do something."""
+        with self._reading() as connection:
+            return connection is not None and bool(stacks(connection, rater)[1])
+
+    def current(self) -> tuple[Verdict, ...]:
+        """Verdicts that hold now, of all raters, by row, column and rater."""
+        with self._reading() as connection:
+            if connection is None:
+                return ()
+            lines = connection.execute(
+                f"SELECT {LINE} FROM history WHERE kind IS NOT NULL AND id IN "
+                '(SELECT max(id) FROM history GROUP BY rater, "row", col) '
+                'ORDER BY "row", col, rater'
+            ).fetchall()
+        entries = [self._entry(line) for line in lines]
+        return tuple(entry.verdict for entry in entries if entry.verdict is not None)
+
+    def history(self) -> tuple[Entry, ...]:
+        """All that was ever stored about cells, the oldest first."""
+        with self._reading() as connection:
+            if connection is None:
+                return ()
+            lines = connection.execute(f"SELECT {LINE} FROM history ORDER BY id").fetchall()
+        return tuple(self._entry(line) for line in lines)
+
+    def raters(self) -> tuple[str, ...]:
+        """Names of all who have stored anything about a cell, in alphabetical order."""
+        with self._reading() as connection:
+            if connection is None:
+                return ()
+            found = connection.execute("SELECT DISTINCT rater FROM history ORDER BY rater")
+            return tuple(str(name) for (name,) in found)
+
+    def mask(self, cell: Cell, rater: str) -> Mask | None:
+        """Return the mask that a rater has corrected, (h, w) bool; None if it is not corrected."""
+        with self._reading() as connection:
+            if connection is None:
+                return None
+            found = connection.execute(
+                "SELECT png FROM masks WHERE id = (SELECT mask FROM history "
+                'WHERE rater = ? AND "row" = ? AND col = ? ORDER BY id DESC LIMIT 1)',
+                (rater, *cell),
+            ).fetchone()
+        return None if found is None else self._mask(found[0])
+
+    def masks(self, rater: str | None = None) -> dict[Cell, Mask]:
+        """Corrected masks by cell, of one rater; of all raters the one that was stored last."""
+        with self._reading() as connection:
+            if connection is None:
+                return {}
+            lines = connection.execute(
+                'SELECT "row", col, png FROM history JOIN masks ON masks.id = history.mask '
+                'WHERE history.id IN (SELECT max(id) FROM history GROUP BY rater, "row", col) '
+                "AND (?1 IS NULL OR rater = ?1) ORDER BY history.id",
+                (rater,),
+            ).fetchall()
+        return {(int(row), int(col)): self._mask(png) for row, col, png in lines}
+
+    def describe(self, data: ModuleData) -> None:
+        """Store what is known about the module; what was stored before is kept as history."""
+        with self._writing() as connection:
+            connection.execute(
+                "INSERT INTO module_data (stored, data) VALUES (?, ?)",
+                (now(), json.dumps(asdict(data))),
+            )
+
+    def module_data(self) -> ModuleData:
+        """What is known about the module."""
+        with self._reading() as connection:
+            found = (
+                connection
+                and connection.execute(
+                    "SELECT data FROM module_data ORDER BY id DESC LIMIT 1"
+                ).fetchone()
+            )
+        if not found:
+            return ModuleData()
+        try:
+            return ModuleData.from_mapping(json.loads(found[0]))
+        except (ValueError, TypeError, AttributeError) as error:
+            raise damaged(self.path, str(error)) from None
+
+    def remember(self, state: ReviewState) -> None:
+        """Store where a rater is, for the next session."""
+        check_entry((state.row, state.col), state.rater)
+        with self._writing() as connection:
+            connection.execute(
+                'INSERT OR REPLACE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)',
+                (state.rater, now(), state.row, state.col),
+            )
+
+    def remembered(self, rater: str | None = None) -> ReviewState | None:
+        """Where a rater was, or who was here last; None if nobody was."""
+        with self._reading() as connection:
+            found = (
+                connection
+                and connection.execute(
+                    'SELECT rater, "row", col FROM state WHERE ?1 IS NULL OR rater = ?1 '
+                    "ORDER BY stored DESC, rowid DESC LIMIT 1",
+                    (rater,),
+                ).fetchone()
+            )
+        return ReviewState(*found) if found else None
+
+    def data_version(self) -> int:
+        """Return a number that changes when another process or store has stored something.
+
+        It costs little: a view may ask it every second and read `current` when it differs.
+        """
+        with self._reading() as connection:
+            if connection is None:
+                return 0
+            return int(connection.execute("PRAGMA data_version").fetchone()[0])
+
+    def _step(self, rater: str, action: str) -> Change | None:
+        if not self._exists():
+            return None
+        with self._writing() as connection:
+            done, undone = stacks(connection, rater)
+            stack = done if action == "undo" else undone
+            if not stack:
+                return None
+            edit = stack[-1]
+            row, col = connection.execute(
+                'SELECT "row", col FROM history WHERE id = ?', (edit,)
+            ).fetchone()
+            before = latest(connection, rater, (row, col))
+            # Edits are undone in the reverse order: what was there before this one is right.
+            last = edit - 1 if action == "undo" else edit
+            after = latest(connection, rater, (row, col), last)
+            append(connection, action, edit, rater, (row, col), after)
+            found = connection.execute(
+                f"SELECT {LINE} FROM history ORDER BY id DESC LIMIT 1"
+            ).fetchone()
+        return Change((row, col), self._entry(found).verdict, before["mask"] != after["mask"])
+
+    def _exists(self) -> bool:
+        try:
+            return self.path.stat().st_size > 0
+        except OSError:
+            return False
+
+    def _open(self, create: bool) -> sqlite3.Connection | None:
+        """Return the connection to the file that has the name now; None if there is none to read.
+
+        Where a result is replaced without hard links, the file is another one afterwards.
+        """
+        if self._connection is not None and not self._exists():
+            sleep(_REPLACED_S)  # between the two renames of a replacement there is no folder
+            if not self._exists():
+                raise InspectionError(
+                    f"{self.path} is gone although it was in use: put it back, or close this "
+                    "module and open it again."
+                )
+        if not create and not self._exists():
+            return None
+        if self._connection is None or self._identity() != self._file:
+            self.close()
+            self._connection = opened(self.path, create, self._busy_s)
+            self._file = self._identity()
+        return self._connection
+
+    def _identity(self) -> tuple[int, int]:
+        found = self.path.stat()
+        return found.st_dev, found.st_ino
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection | None]:
+        with self._lock:
+            try:
+                yield self._open(create=False)
+            except sqlite3.Error as error:
+                raise failure(error, self.path) from None
+            except OSError as error:
+                raise InspectionError(f"{self.path} can't be read: {error.strerror}.") from None
+
+    @contextmanager
+    def _writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, on the disk when the block ends; nothing has changed if it raises."""
+        with self._lock:
+            try:
+                connection = self._open(create=True)
+                assert connection is not None
+                connection.execute("BEGIN IMMEDIATE")
+                try:
+                    yield connection
+                    connection.execute("COMMIT")
+                except BaseException:
+                    if connection.in_transaction:
+                        connection.execute("ROLLBACK")
+                    raise
+            except sqlite3.Error as error:
+                raise failure(error, self.path) from None
+            except OSError as error:
+                raise InspectionError(f"{self.path} can't be written: {error.strerror}.") from None
+
+    def _entry(self, line: tuple[Any, ...]) -> Entry:
+        try:
+            return entry_from(line)
+        except (ValueError, TypeError) as error:
+            raise damaged(self.path, str(error)) from None
+
+    def _mask(self, png: bytes) -> Mask:
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise damaged(self.path, "a mask can't be decoded")
+        return np.asarray(image > 0)
+
+
+def _png(mask: Mask) -> bytes:
+    if mask.ndim != 2 or mask.dtype != np.bool_ or not mask.size:
+        raise InspectionError(
+            f"A corrected mask is {mask.dtype} of shape {mask.shape}: give (h, w) bool."
+        )
+    flags = [cv2.IMWRITE_PNG_BILEVEL, 1]
+    return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255, flags)[1])

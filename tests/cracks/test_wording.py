@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pv_inspect.cracks.features import CLASS_RULE, CellFeatures
+from pv_inspect.cracks.wording import CLASS_WORDS, described, tooltip
+
+CELL = CellFeatures(
+    row=0,
+    col=3,
+    crack_length_cells=0.482,
+    crack_instances=2,
+    dark_area_share=0.031,
+    mean_intensity=0.3121,
+    crack_score=0.934,
+    crack_branches=3,
+    largest_dark_share=0.02,
+    isolated_area_share=0.123,
+    isolated_brightness=0.654,
+    crack_support=0.31,
+    unsupported_share=0.1,
+)
+
+
+def test_a_cell_is_described_with_units() -> None:
+    said = dict(described(CELL))
+    assert said["crack length"] == "0.48 cell widths"
+    assert dict(described(replace(CELL, crack_length_mm=75.2)))["crack length"] == "75 mm"
+    assert said["cracks"] == "2, 3 branches"
+    assert said["cut off at worst"] == "12.3% of the cell, 65% as bright as the rest"
+    assert said["dark area"] == "3.1% of the cell, largest piece 2.0%"
+    assert said["mean brightness"] == "31.2% of full scale"
+    assert said["class"] == "B (cracks, a part is badly connected)"
+    assert said["earned by the frames"] == "yes, 10% of the crack length without support"
+
+
+def test_a_cell_that_is_not_earned_says_so_and_what_the_marks_alone_say() -> None:
+    said = dict(described(replace(CELL, unsupported_share=0.8, unsure=True)))
+    assert said["class"] == "unsure (not earned by the frames; B if the marks are right)"
+    assert said["earned by the frames"] == "no, 80% of the crack length without support"
+
+
+def test_what_is_not_known_is_not_written_as_nan() -> None:
+    bare = CellFeatures(0, 0, 0.2, 1, 0.0, 0.3, 0.5)
+    assert "nan" not in tooltip(bare)
+    assert "no busbars" in tooltip(bare)
+
+
+@pytest.mark.parametrize("name", CLASS_WORDS)
+def test_every_class_is_in_the_written_rule(name: str) -> None:
+    assert any(line.startswith(f"{name} ") for line in CLASS_RULE.splitlines())
+
+
+def test_a_tooltip_begins_with_the_place() -> None:
+    assert tooltip(CELL).splitlines()[0] == "Row 1, column 4"
+    assert len(tooltip(CELL).splitlines()) == 1 + len(described(CELL))
