@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
@@ -22,10 +23,12 @@ from napari_pv_inspect.live import LiveKappa
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
 from napari_pv_inspect.opener import Opener
+from napari_pv_inspect.saver import Saver
 from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY
 from napari_pv_inspect.worker import RunController
+from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
 
 __all__ = ["Workbench"]
@@ -61,6 +64,7 @@ class Workbench(QObject):
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
         self.navigator = Navigator(viewer, self.model, self.module)
         self.opener = Opener(self.model)
+        self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
@@ -75,6 +79,7 @@ class Workbench(QObject):
         self._fit_timer.setInterval(50)
         self._fit_timer.timeout.connect(self._fit)
         self.opener.result_opened.connect(self._on_result)
+        self.saver.saved.connect(self._on_saved)
         self.shortcuts: Shortcuts | None = None
         self._drops: DropTaker | None = None
         if self._main_window is not None:
@@ -104,6 +109,7 @@ class Workbench(QObject):
         self._fit_timer.stop()
         self.session.close()
         self.opener.close()
+        self.saver.close()
         if self._drops is not None:
             self._drops.close()
         self.live.close()
@@ -133,6 +139,10 @@ class Workbench(QObject):
     def _on_result(self, result: Result) -> None:
         self.session.resume(result)
         self.fit_view()
+
+    def _on_saved(self, inspection: Inspection, folder: Path) -> None:
+        if inspection is self.model.inspection:
+            self.session.attach(folder)
 
     def _on_sequence(self, _: object) -> None:
         self.history.clear()

@@ -146,11 +146,23 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
     dock.bench.runs.start()
     qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
     dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.session.folder is not None, timeout=10_000)
     dock.bench.model.select_cell((0, 3))
     viewer.dims.set_current_step(0, 4)
     viewer.close()
     assert read_session(tmp_path / "out").cell == (0, 3)
     assert read_session(tmp_path / "out").frame == 4
+
+
+def test_a_result_that_is_being_written_is_whole_when_the_window_has_closed(
+    bench: Any, tiny_inspection: Inspection, tmp_path: Path
+) -> None:
+    viewer, dock, _ = bench
+    assert dock.bench.saver.save(tiny_inspection, tmp_path / "out")
+    assert not dock.bench.saver.save(tiny_inspection, tmp_path / "other")
+    viewer.close()
+    assert (tmp_path / "out" / "result.json").is_file()
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_stored_cell_that_the_module_has_not_is_ignored(

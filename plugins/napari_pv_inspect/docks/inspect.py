@@ -33,9 +33,8 @@ from napari_pv_inspect.docks.steps import StepsBox
 from napari_pv_inspect.sample import sample_folder
 from napari_pv_inspect.steps import REVIEW, Deed
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result, write_result
+from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Stage
 
@@ -131,17 +130,9 @@ class InspectDock(QWidget):
                 self.pages.setCurrentIndex(k)
 
     def save(self, folder: Path) -> None:
-        """Write the result folder; what is wrong becomes a notice."""
-        inspection = self.bench.model.inspection
-        if inspection is None:
-            return
-        try:
-            write_result(inspection, folder)
-        except InspectionError as error:
-            self.bench.model.notice(str(error), is_error=True)
-        else:
-            self.bench.session.attach(folder)
-            self.bench.model.notice(f"Saved to {folder}.")
+        """Write the result folder beside the window; what is wrong becomes a notice."""
+        if self.bench.model.inspection is not None:
+            self.bench.saver.save(self.bench.model.inspection, folder)
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
         if sequence is None:
