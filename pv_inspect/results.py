@@ -360,6 +360,8 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
         np.ascontiguousarray(image, np.float32),
         photometric="minisblack",
         compression="zlib" if pack else None,
+        # Noise hardly shrinks: higher levels take longer for one percent.
+        compressionargs={"level": 1} if pack else None,
         resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
         resolutionunit="NONE",
         description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
