@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,7 @@ def read_geometry(
                 np.nan_to_num(_array(frame["sigma_px"], (layout.n_crossings,)), nan=np.inf),
                 np.array(frame["measured"], bool),
                 str(frame["why"]),
+                **_marks(frame),
             )
             for frame in record["crossings"]
         )
@@ -111,6 +113,12 @@ def read_geometry(
             f"{path} is damaged ({error}): run the inspection again, it starts with the detection."
         ) from None
     return Crossings(layout, found), calibration
+
+
+def _marks(frame: dict[str, Any]) -> dict[str, Any]:
+    """What is optional in `FrameCrossings`: flags of single points."""
+    optional = (f.name for f in fields(FrameCrossings) if f.default is None)
+    return {k: np.array(frame[k], bool) for k in optional if frame.get(k) is not None}
 
 
 def _place(given: Any, folder: Path) -> list[Path]:
