@@ -24,6 +24,7 @@ from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
 from pv_inspect.report import render_report
 from pv_inspect.settings import Settings
@@ -45,6 +46,7 @@ RESULT_FILES = (
     "cracks.tif",
     "cells.csv",
     "report.html",
+    "geometry.json",
 )
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
@@ -114,6 +116,8 @@ class Result:
     versions : dict of str to str
     prior_weight, psf_sigma_lr_px : float
         lambda and optical blur that were used.
+    record : dict
+        All of ``result.json``.
     """
 
     folder: Path
@@ -134,6 +138,7 @@ class Result:
     versions: dict[str, str]
     prior_weight: float = float("nan")
     psf_sigma_lr_px: float = float("nan")
+    record: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         layout = self.grid.layout
@@ -172,7 +177,7 @@ def write_result(inspection: Inspection, out: Path) -> None:
         raise InspectionError(
             "This inspection is not complete, so that no result can be written: run it to its end."
         )
-    replace_folder(out, _files(inspection), RESULT_JSON, _is_ours)
+    replace_folder(out, _files(inspection, out), RESULT_JSON, _is_ours)
 
 
 def read_result(folder: Path) -> Result:
@@ -240,6 +245,7 @@ def read_result(folder: Path) -> Result:
         made_with,
         weight,
         sigma,
+        record,
     )
 
 
@@ -339,8 +345,8 @@ def _edits(inspection: Inspection, i: int) -> list[dict[str, Any]]:
     ]
 
 
-def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
-    """Name and content of every file of a result, ``result.json`` last."""
+def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
+    """Name and content of every file of the result in ``out``, ``result.json`` last."""
     reconstruction, cracks, tiles = inspection.reconstruction, inspection.cracks, inspection.tiles
     assert reconstruction is not None
     assert cracks is not None
@@ -356,8 +362,13 @@ def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
         yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.images[row, col], grid, what)
     yield "cells.csv", _csv(cracks.cells).encode()
     yield "report.html", render_report(inspection).encode()
-    text = json.dumps(result_record(inspection), indent=1, allow_nan=False)
-    yield RESULT_JSON, text.encode()
+    yield GEOMETRY_JSON, _json(geometry_record(inspection))
+    record = {"source": source_record(inspection.sequence, out), **result_record(inspection)}
+    yield RESULT_JSON, _json(record)
+
+
+def _json(record: dict[str, Any]) -> bytes:
+    return json.dumps(_plain(record), indent=1, allow_nan=False).encode()
 
 
 def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:
