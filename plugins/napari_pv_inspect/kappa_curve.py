@@ -12,6 +12,7 @@ from psygnal import Signal
 from napari_pv_inspect.background import NewestAnswer
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from pv_inspect.calibration import Calibration, residual_over_kappa
+from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 
@@ -80,7 +81,7 @@ class KappaCurve:
         self._of = fit
         kappa = float(fit.camera.kappa)
         kappas = np.unique(np.append(np.linspace(-KAPPA_RANGE, KAPPA_RANGE, N_KAPPAS), kappa))
-        self._newest.ask(partial(_curve, inspection, kappas))
+        self._newest.ask(partial(_curve, crossings, fit, kappas))
 
     def _on_curve(self, answer: Curve | InspectionError) -> None:
         # A curve is an extra: without it nothing is lost.
@@ -92,10 +93,6 @@ class KappaCurve:
             self.changed.emit(curve)
 
 
-def _curve(inspection: Inspection, kappas: NDArray[np.float64]) -> Curve:
-    assert inspection.crossings is not None
-    assert inspection.calibration is not None
-    residuals = residual_over_kappa(
-        inspection.crossings, inspection.calibration, [float(k) for k in kappas]
-    )
-    return Curve(kappas, residuals, float(inspection.calibration.camera.kappa))
+def _curve(crossings: Crossings, fit: Calibration, kappas: NDArray[np.float64]) -> Curve:
+    residuals = residual_over_kappa(crossings, fit, [float(k) for k in kappas])
+    return Curve(kappas, residuals, float(fit.camera.kappa))
