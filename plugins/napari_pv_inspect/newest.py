@@ -10,8 +10,11 @@ __all__ = ["Job", "NewestWins"]
 
 log = logging.getLogger(__name__)
 
-Job = Callable[[Callable[[], bool]], None]
-"""Work that is given a function which says whether a newer request waits."""
+Job = Callable[[Callable[[], bool]], bool]
+"""Work that is given a function which says whether something waits that goes before it.
+
+It returns whether it is done; what was given up is begun again later, unless a newer request came.
+"""
 
 
 class NewestWins:
@@ -66,9 +69,12 @@ class NewestWins:
                 return self._closed or self._waits_before(slot)
 
             try:
-                job(superseded)
+                done = job(superseded)
             except Exception:
                 log.exception("work on the live cell failed")
+                continue
+            if not done:
+                self._put_back(slot, job)
 
     def _next(self) -> tuple[str, Job] | None:
         with self._changed:
@@ -79,6 +85,11 @@ class NewestWins:
                         return slot, job
                 self._changed.wait()
         return None
+
+    def _put_back(self, slot: str, job: Job) -> None:
+        with self._changed:
+            if not self._closed and self._waiting[slot] is None:
+                self._waiting[slot] = job
 
     def _waits_before(self, slot: str) -> bool:
         """Whether something newer waits in this slot, or something in one that goes before it."""

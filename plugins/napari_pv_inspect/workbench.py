@@ -19,10 +19,12 @@ from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.live import LiveKappa
+from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY, open_sequence
+from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
 from pv_inspect.errors import InspectionError
 from pv_inspect.results import Result
@@ -58,6 +60,8 @@ class Workbench(QObject):
         self.module = ModuleLayers(viewer, self.model)
         self.guesser = LayoutGuesser(self.model)
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
+        self.tuning = Tuning(self.model, self.history)
+        self.live_cell = LiveCell(self.model, self.tuning)
         self.navigator = Navigator(viewer, self.model, self.module)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
@@ -96,6 +100,7 @@ class Workbench(QObject):
         self._show_preview.cancel()
         self._fit_timer.stop()
         self.live.close()
+        self.live_cell.close()
         self.guesser.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)

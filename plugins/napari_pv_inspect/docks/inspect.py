@@ -22,6 +22,7 @@ from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.docks.module_box import ModuleBox
 from napari_pv_inspect.docks.result_box import ResultBox
 from napari_pv_inspect.docks.run_box import RunBox
@@ -52,7 +53,7 @@ class InspectDock(QWidget):
         self.headline.setWordWrap(True)
         self.module = ModuleBox(bench.model)
         self.lens = LensBox(bench.model, bench.live)
-        self.image = ImageBox(bench.model)
+        self.image = ImageBox(bench.model, bench.live_cell)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
@@ -73,6 +74,7 @@ class InspectDock(QWidget):
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
+        self.image.live_wanted.connect(self._on_live)
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
@@ -141,6 +143,9 @@ class InspectDock(QWidget):
 
     def _on_detect(self) -> None:
         self.bench.runs.start(until=Stage.CALIBRATE)
+
+    def _on_live(self) -> None:
+        show_live_cell(self.bench, self)
 
     def _on_run(self) -> None:
         self.bench.runs.start()

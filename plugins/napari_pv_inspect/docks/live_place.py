@@ -1,0 +1,43 @@
+"""Where the dock *Live cell* stands: between the canvas and the controls."""
+
+from __future__ import annotations
+
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import QDockWidget, QWidget
+
+from napari_pv_inspect.docks.live_dock import LiveDock
+from napari_pv_inspect.workbench import Workbench
+
+__all__ = ["show_live_cell"]
+
+
+def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
+    """Show the live cell left of the controls, or bring it back.
+
+    Parameters
+    ----------
+    bench : Workbench
+    controls : QWidget
+        The widget in whose dock the sliders are.
+    """
+    window = bench.viewer.window
+    for place in window._qt_window.findChildren(QDockWidget):
+        live = place.findChild(LiveDock)
+        if live is not None:
+            place.show()
+            place.raise_()
+            return live
+    live = LiveDock(bench.viewer)
+    place = window.add_dock_widget(live, name="Live cell", area="right")
+    beside = _dock_of(controls)
+    if beside is not None and not beside.isFloating():
+        window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+    bench.fit_view()
+    return live
+
+
+def _dock_of(widget: QWidget) -> QDockWidget | None:
+    parent = widget.parentWidget()
+    while parent is not None and not isinstance(parent, QDockWidget):
+        parent = parent.parentWidget()
+    return parent
