@@ -161,7 +161,7 @@ class Tuning:
 
     def _set(self, values: dict[str, Any]) -> None:
         # Before the model tells of it, so that this is no new edit.
-        self._settled |= {k: v for k, v in values.items() if k in self._settled}
+        self._settled = {k: values.get(k, v) for k, v in self._settled.items()}
         self._model.change_settings(**values)
 
     def _put_name(self, number: int, name: str) -> None:

@@ -120,19 +120,26 @@ class ImageBox(QGroupBox):
             self._model.notice(f"Preset saved to {path}.")
 
     def _arrange(self) -> None:
+        for slider in (self.magnification, self.prior_weight, self.psf_sigma):
+            # Beside a scroll bar the buttons of the number would be cut off.
+            slider.number.setMinimumWidth(92)
+            slider.slider.setMinimumWidth(40)
         marks = QHBoxLayout()
         marks.addWidget(self.automatic)
         marks.addWidget(self.estimated)
         files = QHBoxLayout()
-        for button in (self.show_live, self.load, self.save):
+        for button in (self.load, self.save):
             files.addWidget(button)
         form = QFormLayout(self)
+        form.setContentsMargins(6, 4, 6, 4)
+        form.setVerticalSpacing(4)
+        form.addRow(self.show_live)
         form.addRow("Magnification", self.magnification)
         form.addRow("Lambda", self.prior_weight)
         form.addRow("PSF sigma", self.psf_sigma)
         form.addRow(marks)
         form.addRow("Prior", self.prior)
-        form.addRow("", self.motion)
+        form.addRow(self.motion)
         form.addRow(QLabel("Held-out residual over lambda"))
         form.addRow(self.plot)
         form.addRow(files)

@@ -96,7 +96,7 @@ class LambdaPlot(QWidget):
             painter.drawText(self.rect(), flags, self._why)
             return
         area = self._area()
-        self._paint_axis(painter, area, ink)
+        self._paint_axis(painter, area)
         values = [value for _, value in self._curve]
         low, high = min(values), max(values)
         # The steep flank of too strong a prior must not flatten the minimum.
@@ -122,7 +122,7 @@ class LambdaPlot(QWidget):
             painter.drawEllipse(point, 2.5, 2.5)
         painter.end()
 
-    def _paint_axis(self, painter: QPainter, area: QRectF, ink: QColor) -> None:
+    def _paint_axis(self, painter: QPainter, area: QRectF) -> None:
         painter.drawLine(area.bottomLeft(), area.bottomRight())
         low, high = self._range()
         for power in range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1):

@@ -32,6 +32,8 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     beside = _dock_of(controls)
     if beside is not None and not beside.isFloating():
         window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+    # With two docks beside each other the full height is of more use than a wide gallery.
+    window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
     bench.fit_view()
     return live
 
