@@ -24,7 +24,7 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.cell_renderer import CellPicture
+from napari_pv_inspect.cell_renderer import CellPicture, CellRenderer
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.live_dock import LiveDock
 from napari_pv_inspect.docks.live_place import show_live_cell
@@ -190,7 +190,7 @@ def _drag(dock: InspectDock, watch: Watch) -> tuple[float, ...]:
     slider, model = dock.image.prior_weight.slider, dock.bench.model
     when: dict[float | None, float] = {}
     watch.painted.clear()
-    for position in _to_and_fro(180):
+    for position in _positions(180):
         slider.setValue(position)
         when[model.settings.prior_weight] = time.perf_counter()
         end = time.perf_counter() + TICK_S
@@ -209,8 +209,37 @@ def _drag(dock: InspectDock, watch: Watch) -> tuple[float, ...]:
     return tuple(ages)
 
 
-def _to_and_fro(count: int) -> Iterable[int]:
-    return (round(300 + 60 * float(np.sin(k / 20))) for k in range(count))
+def _positions(count: int) -> Iterable[int]:
+    # Every position once, or the age of a picture would be ambiguous.
+    return range(180, 180 + count)
+
+
+def computing(inspection: Inspection) -> dict[str, float]:
+    """Median processor time to the first picture, ms: what the load of the machine leaves alone."""
+    renderer, settings = CellRenderer(), inspection.settings
+    assert inspection.registration is not None
+    assert inspection.reconstruction is not None
+    kappa = inspection.registration.camera.kappa
+    weight = inspection.reconstruction.prior_weight
+    changes: dict[str, list[tuple[tuple[int, int], Settings]]] = {
+        "cell": [((1, c % inspection.layout.cols), settings) for c in range(7)],
+        "lambda": [((1, 1), settings.changed(prior_weight=weight * 1.1**k)) for k in range(7)],
+        "PSF": [((1, 1), settings.changed(psf_sigma_lr_px=0.3 + 0.05 * k)) for k in range(7)],
+        "magnification": [((1, 1), settings.changed(magnification=3 + 0.2 * k)) for k in range(7)],
+        "kappa": [((1, 1), settings.changed(kappa=kappa + 0.004 * k)) for k in range(7)],
+    }
+    found = {}
+    for name, tried in changes.items():
+        times = []
+        for cell, wanted in tried:
+            begun = time.thread_time()
+            pictures = renderer.pictures(inspection, cell, wanted)
+            while next(pictures) is None:
+                pass
+            times.append(1e3 * (time.thread_time() - begun))
+        # The first of each kind is another change too.
+        found[name] = float(np.median(times[1:]))
+    return found
 
 
 def report(results: list[Latency], heart: Heartbeat) -> str:
@@ -243,6 +272,8 @@ def main(arguments: list[str]) -> None:
     dock.bench.model.open(sequence)
     print(report(*measure(dock, inspection)))
     viewer.close()
+    times = ", ".join(f"{name} {ms:.0f}" for name, ms in computing(inspection).items())
+    print(f"processor time to the first picture, ms: {times}")
 
 
 if __name__ == "__main__":

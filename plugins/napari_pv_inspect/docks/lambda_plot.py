@@ -105,15 +105,20 @@ class LambdaPlot(QWidget):
             QPointF(self.x_of(w), area.bottom() - (v - low) / max(high - low, 1e-9) * area.height())
             for w, v in self._curve
         ]
-        for weight, colour, name, top in (
-            (self._automatic, AUTOMATIC, "auto", False),
-            (self._present, PRESENT, "now", True),
+        dashed, solid = Qt.PenStyle.DashLine, Qt.PenStyle.SolidLine
+        for weight, colour, name, style in (
+            (self._automatic, AUTOMATIC, "auto", dashed),
+            (self._present, PRESENT, "now", solid),
         ):
             if weight is not None:
                 x = self.x_of(weight)
-                painter.setPen(QPen(colour, 2, Qt.PenStyle.SolidLine if top else _dashed()))
+                painter.setPen(QPen(colour, 2, style))
                 painter.drawLine(QPointF(x, area.top()), QPointF(x, area.bottom()))
-                painter.drawText(_beside(x, 0.0, area, not top), _left(not top), name)
+                # The two words stand on either side, unless there is no room.
+                left = style is dashed or x > area.right() - 40
+                room = QRectF(x - 63 if left else x + 3, 0.0, 60, area.top())
+                side = Qt.AlignmentFlag.AlignRight if left else Qt.AlignmentFlag.AlignLeft
+                painter.drawText(room, int(side | Qt.AlignmentFlag.AlignVCenter), name)
         painter.setClipRect(area.adjusted(-4, -4, 4, 4))
         painter.setPen(QPen(CURVE, 2))
         painter.drawPolyline(points)
@@ -139,17 +144,3 @@ class LambdaPlot(QWidget):
         if len(self._curve) < 2:
             return 0.01, 10.0
         return self._curve[0][0] / BEYOND, self._curve[-1][0] * 1.5
-
-
-def _dashed() -> Qt.PenStyle:
-    return Qt.PenStyle.DashLine
-
-
-def _left(left: bool) -> int:
-    side = Qt.AlignmentFlag.AlignRight if left else Qt.AlignmentFlag.AlignLeft
-    return int(side | Qt.AlignmentFlag.AlignVCenter)
-
-
-def _beside(x: float, y: float, area: QRectF, left: bool) -> QRectF:
-    """Room for a word above the plot, left or right of a mark."""
-    return QRectF(x - 63 if left else x + 3, y, 60, area.top())
