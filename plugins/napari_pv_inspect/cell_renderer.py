@@ -24,6 +24,7 @@ __all__ = [
     "best_frame",
     "bicubic_cell",
     "default_cell",
+    "lambda_in_use",
     "registration_for",
     "run_cell",
 ]
@@ -88,7 +89,8 @@ class CellRenderer:
         begun = shown_at = perf_counter()
         preview = self._preview_for(inspection, settings)
         yield None
-        used = _with_weight(inspection, settings)
+        weight = lambda_in_use(inspection, settings)
+        used = settings if weight is None else settings.changed(prior_weight=weight)
         first = True
         for state in preview.refine(Region(*cell), used):
             now = perf_counter()
@@ -201,11 +203,15 @@ def bicubic_cell(inspection: Inspection, cell: Cell, magnification: float) -> Ce
     return CellPicture(image, cell, inspection.sequence.names[frame])
 
 
-def _with_weight(inspection: Inspection, settings: Settings) -> Settings:
-    """Lambda that was found for one prior means nothing to another."""
-    if settings.prior_weight is None and settings.prior != inspection.settings.prior:
-        return settings.changed(prior_weight=typical_prior_weight(settings.prior))
-    return settings
+def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | None:
+    """Return the user's lambda, or the one that stands for the automatic one until the next run."""
+    if settings.prior_weight is not None or inspection is None:
+        return settings.prior_weight
+    made = inspection.reconstruction
+    # What was found for one prior means nothing to another.
+    if made is None or settings.prior != inspection.settings.prior:
+        return typical_prior_weight(settings.prior)
+    return made.prior_weight
 
 
 def _same(a: tuple[object, ...], b: tuple[object, ...]) -> bool:

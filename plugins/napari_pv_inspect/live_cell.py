@@ -67,7 +67,7 @@ class LiveCell(QObject):
         self.tuning = tuning
         self._worker = NewestWins("live", "beside")
         self._live, self._beside = CellRenderer(), CellRenderer()
-        self._active = self._closed = False
+        self.active = self._closed = False
         self._asked: Key = ()
         self._asked_beside: Key | None = None
         self._basis: Key = ()
@@ -94,7 +94,7 @@ class LiveCell(QObject):
 
     def set_active(self, active: bool) -> None:
         """Say whether somebody looks: nothing is computed for nobody."""
-        self._active = active
+        self.active = active
         if active:
             self._ask()
         else:
@@ -148,7 +148,7 @@ class LiveCell(QObject):
 
     def _ask(self) -> None:
         inspection, cell = self._inspection, self.cell
-        if not self._active or self._closed or inspection is None or cell is None:
+        if not self.active or self._closed or inspection is None or cell is None:
             return
         settings = self._model.settings
         fields = tuple(getattr(settings, name) for name in LIVE_FIELDS)

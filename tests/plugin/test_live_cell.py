@@ -12,6 +12,7 @@ import pytest
 from qtpy.QtCore import QPoint, QPointF, QSize, Qt
 from qtpy.QtGui import QImage
 from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QDockWidget
 
 from napari_pv_inspect.cell_renderer import (
     CellRenderer,
@@ -29,6 +30,7 @@ from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.live_cell import Source
 from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.pipeline import Inspection
 from pv_inspect.settings import Settings
 
@@ -214,6 +216,17 @@ def test_the_window_closes_while_the_live_cell_is_at_work(
     dock.bench.model.change_settings(prior_weight=4.0)
 
 
+def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    dock.bench.model.change_settings(prior="tikhonov")
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    expected = typical_prior_weight("tikhonov")
+    assert f"lambda {expected:.3g}" in shown.caption.text()
+    assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
+
+
 def test_presets_go_through_the_page(live: tuple[InspectDock, LiveDock], tmp_path: Path) -> None:
     dock, _ = live
     model = dock.bench.model
@@ -286,3 +299,17 @@ def test_grey_images_share_one_contrast() -> None:
         255,
         255,
     ]
+
+
+def test_a_dock_that_was_closed_comes_back(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
+    dock, shown = live
+    place = shown.parentWidget()
+    while not isinstance(place, QDockWidget):
+        place = place.parentWidget()
+    place.destroyOnClose()
+    qtbot.wait(50)
+    dock.image.prior_weight.slider.setValue(200)
+    again = show_live_cell(dock.bench, dock)
+    assert again is not shown
+    dock.bench.live_cell.set_active(True)
+    qtbot.waitUntil(lambda: has_ended(again), timeout=LONG_MS)

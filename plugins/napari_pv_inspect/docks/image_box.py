@@ -17,6 +17,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_pv_inspect.cell_renderer import lambda_in_use
 from napari_pv_inspect.docks.lambda_plot import LambdaPlot
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.slider import SettingSlider, setting_tooltip
@@ -71,6 +72,10 @@ class ImageBox(QGroupBox):
         )
         self.prior = QComboBox()
         self.prior.setToolTip(setting_tooltip("prior"))
+        self.prior.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
+        self.prior.setMinimumContentsLength(12)
         for k, (name, (text, tip)) in enumerate(PRIORS.items()):
             self.prior.addItem(text, name)
             self.prior.setItemData(k, tip, Qt.ItemDataRole.ToolTipRole)
@@ -175,16 +180,15 @@ class ImageBox(QGroupBox):
     def _on_settings(self, settings: Settings) -> None:
         self.magnification.show_value(settings.magnification)
         made = self._made
-        weight, sigma = settings.prior_weight, settings.psf_sigma_lr_px
+        sigma = settings.psf_sigma_lr_px
+        weight = lambda_in_use(self._model.inspection, settings)
         for box, checked in (
-            (self.automatic, weight is None),
+            (self.automatic, settings.prior_weight is None),
             (self.estimated, sigma is None),
             (self.motion, settings.motion_blur == "auto"),
         ):
             with QSignalBlocker(box):
                 box.setChecked(checked)
-        if weight is None and made is not None:
-            weight = made.prior_weight
         if weight is not None:
             self.prior_weight.show_value(weight)
         if sigma is None:

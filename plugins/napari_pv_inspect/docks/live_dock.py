@@ -69,7 +69,7 @@ class LiveDock(QWidget):
         parts.addWidget(top)
         parts.addWidget(self.trials)
         parts.setStretchFactor(0, 3)
-        parts.setStretchFactor(1, 1)
+        parts.setStretchFactor(1, 2)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addWidget(parts)

@@ -10,6 +10,9 @@ from napari_pv_inspect.workbench import Workbench
 
 __all__ = ["show_live_cell"]
 
+# Of the window that the live cell takes, px and share of its width.
+MIN_WIDTH, SHARE = 300, 0.26
+
 
 def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     """Show the live cell left of the controls, or bring it back.
@@ -32,6 +35,11 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     beside = _dock_of(controls)
     if beside is not None and not beside.isFloating():
         window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+    window._qt_window.resizeDocks(
+        [place],
+        [max(MIN_WIDTH, round(SHARE * window._qt_window.width()))],
+        Qt.Orientation.Horizontal,
+    )
     # With two docks beside each other the full height is of more use than a wide gallery.
     window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
     bench.fit_view()
