@@ -34,11 +34,11 @@ LAMBDA_RANGE = (1e-4, 10.0)
 SIGMA_RANGE = (0.1, 3.0)
 PRIORS = {
     "wbtv": (
-        "Keeps edges, weighted",
+        "Sharp edges",
         "Flattens noise and keeps cracks sharp; an edge once found is smoothed less (WBTV).",
     ),
     "btv": (
-        "Keeps edges, plain",
+        "Sharp, plain",
         "The same without weights: fine lines lose more contrast (BTV).",
     ),
     "tikhonov": (

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QDockWidget, QWidget
+from functools import partial
+
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
 
 from napari_pv_inspect.docks.live_dock import LiveDock
 from napari_pv_inspect.workbench import Workbench
@@ -35,11 +37,8 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     beside = _dock_of(controls)
     if beside is not None and not beside.isFloating():
         window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
-    window._qt_window.resizeDocks(
-        [place],
-        [max(MIN_WIDTH, round(SHARE * window._qt_window.width()))],
-        Qt.Orientation.Horizontal,
-    )
+        # Qt resizes docks only once they have been laid out; no dock, no call.
+        QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
     # With two docks beside each other the full height is of more use than a wide gallery.
     window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
     bench.fit_view()
@@ -51,3 +50,8 @@ def _dock_of(widget: QWidget) -> QDockWidget | None:
     while parent is not None and not isinstance(parent, QDockWidget):
         parent = parent.parentWidget()
     return parent
+
+
+def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
+    wanted = max(MIN_WIDTH, round(SHARE * window.width()))
+    window.resizeDocks([place, beside], [wanted, beside.width()], Qt.Orientation.Horizontal)
