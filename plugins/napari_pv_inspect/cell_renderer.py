@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -34,6 +34,8 @@ Cell = tuple[int, int]
 
 # Solver steps to the first picture: by then it differs from its end by a percent or so.
 FIRST_STEPS = 12
+# And while a slider moves on: the next picture begins where this one ends.
+HURRIED_STEPS = 4
 # Seconds between the pictures that follow while it gets better.
 BETWEEN = 0.2
 
@@ -72,9 +74,18 @@ class CellRenderer:
         self._preview: Preview | None = None
 
     def pictures(
-        self, inspection: Inspection, cell: Cell, settings: Settings
+        self,
+        inspection: Inspection,
+        cell: Cell,
+        settings: Settings,
+        hurry: Callable[[], bool] = lambda: False,
     ) -> Iterator[CellPicture | None]:
         """Reconstruct a cell.
+
+        Parameters
+        ----------
+        hurry : callable
+            Whether somebody waits for another picture.
 
         Yields
         ------
@@ -94,7 +105,8 @@ class CellRenderer:
         first = True
         for state in preview.refine(Region(*cell), used):
             now = perf_counter()
-            due = state.iterations >= FIRST_STEPS if first else now - shown_at > BETWEEN
+            steps = HURRIED_STEPS if first and hurry() else FIRST_STEPS
+            due = state.iterations >= steps if first else now - shown_at > BETWEEN
             if not (due or state.finished):
                 yield None
                 continue

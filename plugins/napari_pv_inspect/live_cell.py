@@ -168,7 +168,7 @@ class LiveCell(QObject):
     ) -> bool:
         def work() -> None:
             shown = False
-            for picture in self._live.pictures(inspection, cell, settings):
+            for picture in self._live.pictures(inspection, cell, settings, superseded):
                 if picture is not None:
                     self._tell(None, picture)
                     shown = True

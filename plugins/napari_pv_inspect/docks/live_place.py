@@ -54,4 +54,8 @@ def _dock_of(widget: QWidget) -> QDockWidget | None:
 
 def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
     wanted = max(MIN_WIDTH, round(SHARE * window.width()))
+    animated = window.isAnimated()
+    # The view is fitted to the canvas right after: it has to have its size by then.
+    window.setAnimated(False)
     window.resizeDocks([place, beside], [wanted, beside.width()], Qt.Orientation.Horizontal)
+    window.setAnimated(animated)
