@@ -26,15 +26,23 @@ from pv_inspect.settings import Settings
 from pv_inspect.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.support import support_of
 
-__all__ = ["Progress", "Reconstruction", "bicubic", "brightness_of", "reconstruct", "solve"]
+__all__ = [
+    "TYPICAL_SIGMA_LR_PX",
+    "Progress",
+    "Reconstruction",
+    "bicubic",
+    "brightness_of",
+    "reconstruct",
+    "solve",
+]
 
 Image = NDArray[np.float32]
 Curve = tuple[tuple[float, float], ...]
 
 _NO_CURVE: Curve = ()
 
-# Optical sigma [LR px] that the first look at the module assumes.
-_TYPICAL_SIGMA = 0.45
+TYPICAL_SIGMA_LR_PX = 0.45
+"""Optical sigma that the first look at the module assumes."""
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
@@ -163,7 +171,7 @@ def reconstruct(
     photometry: Photometry | None = None
     look: Image | None = None
     if settings.second_look:
-        known = settings.psf_sigma_lr_px or _TYPICAL_SIGMA
+        known = settings.psf_sigma_lr_px or TYPICAL_SIGMA_LR_PX
         first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
         photometry, look = yield from _first_look(first, used, settings)
         del first
@@ -379,7 +387,7 @@ def _estimate_psf(
         if view is not None:
             views.append(view)
     if not views:
-        return _TYPICAL_SIGMA
+        return TYPICAL_SIGMA_LR_PX
     estimate = estimate_psf_sigma(camera, window, views)
     while True:
         try:

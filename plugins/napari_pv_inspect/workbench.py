@@ -22,6 +22,7 @@ from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.live import LiveKappa
+from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
 from napari_pv_inspect.opener import Opener
@@ -31,6 +32,7 @@ from napari_pv_inspect.saver import Saver
 from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY
+from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
@@ -70,6 +72,8 @@ class Workbench(QObject):
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry, self.editor)
         self.recalibration = Recalibration(self.model, self.editor)
         self.kappa_curve = KappaCurve(self.model)
+        self.tuning = Tuning(self.model, self.history)
+        self.live_cell = LiveCell(self.model, self.tuning)
         self.navigator = Navigator(viewer, self.model, self.module)
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
@@ -124,6 +128,7 @@ class Workbench(QObject):
         self.points.close()
         self.recalibration.close()
         self.kappa_curve.close()
+        self.live_cell.close()
         self.guesser.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)

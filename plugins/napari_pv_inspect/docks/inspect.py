@@ -25,6 +25,7 @@ from napari_pv_inspect.docks.frames_box import FramesBox
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.docks.module_box import ModuleBox
 from napari_pv_inspect.docks.points_box import PointsBox
 from napari_pv_inspect.docks.reference_box import ReferenceBox
@@ -71,7 +72,7 @@ class InspectDock(QWidget):
         self.module = ModuleBox(bench.model)
         self.points = PointsBox(bench)
         self.lens = LensBox(bench.model, bench.live, bench.kappa_curve)
-        self.image = ImageBox(bench.model)
+        self.image = ImageBox(bench.model, bench.live_cell)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
@@ -101,6 +102,7 @@ class InspectDock(QWidget):
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
+        self.image.live_wanted.connect(self._on_live)
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
@@ -213,6 +215,9 @@ class InspectDock(QWidget):
 
     def _on_detect(self) -> None:
         self.bench.runs.start(until=Stage.CALIBRATE)
+
+    def _on_live(self) -> None:
+        show_live_cell(self.bench, self)
 
     def _on_run(self) -> None:
         self.bench.runs.start()
