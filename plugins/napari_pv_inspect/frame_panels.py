@@ -87,9 +87,7 @@ def frame_panels(inspection: Inspection, cell: Cell) -> FramePanels:
     )
 
 
-def _nearest(
-    inspection: Inspection, registration: Registration, grid: HrGrid, frame: int
-) -> Image:
+def _nearest(inspection: Inspection, registration: Registration, grid: HrGrid, frame: int) -> Image:
     offset, gain = float(registration.offset[frame]), float(registration.gain[frame])
     image = np.asarray((inspection.sequence.frame(frame).image - offset) / gain, np.float32)
     y, x = np.mgrid[: grid.shape[0], : grid.shape[1]].astype(np.float64)

@@ -164,4 +164,4 @@ class Journal:
 def wait_for_all(journals: list[Journal], timeout_s: float) -> bool:
     """Wait until all journals have stored everything; False if the time did not suffice."""
     end = monotonic() + timeout_s
-    return all([journal.wait(max(end - monotonic(), 0.0)) for journal in journals])
+    return all(journal.wait(max(end - monotonic(), 0.0)) for journal in journals)

@@ -456,7 +456,9 @@ class ReviewModel:
     def _ordered(self) -> tuple[CellFeatures, ...]:
         if self.subject is None:
             return ()
-        blank = {place: CellFeatures(*place, 0.0, 0, 0.0, 0.0, 0.0) for place in self.subject.places}
+        blank = {
+            place: CellFeatures(*place, 0.0, 0, 0.0, 0.0, 0.0) for place in self.subject.places
+        }
         return ordered({**blank, **self._found}.values(), self._mine, self.order)
 
     def _need_folder(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +69,7 @@ class Subject:
 
     def shows_the_same(self, other: Subject | None) -> bool:
         """Whether the pictures are the same ones."""
-        return (
-            other is not None and self.tiles is other.tiles and self.cracks is other.cracks
-        )
+        return other is not None and self.tiles is other.tiles and self.cracks is other.cracks
 
     def probability(self, cell: Cell) -> Image | None:
         """Crack probability of the pixels of a cell."""

@@ -90,6 +90,14 @@ class Reviewer(QObject):
         at = listed.index(cell) + by if cell in listed else 0
         self._model.select_cell(listed[min(max(at, 0), len(listed) - 1)])
 
+    def move(self, rows: int) -> None:
+        """Go to a cell further down in the same column of the module."""
+        cell, subject = self._model.selected_cell, self.state.subject
+        if cell is not None and subject is not None:
+            other = cell[0] + rows, cell[1]
+            if other in subject.places:
+                self._model.select_cell(other)
+
     def set_rater(self, rater: str) -> None:
         """Judge as somebody else, also in the next session."""
         self.state.set_rater(rater)
@@ -139,18 +147,17 @@ class Reviewer(QObject):
         result = self._model.result
         if subject is None and result is not None:
             return
-        folder = None
-        if subject is not None and subject.cracks is not None and result is not None:
-            # An inspection that came out of a result folder has its arrays.
-            if subject.cracks.probability is result.cracks:
-                folder = result.folder.resolve()
-        self._show(subject, folder)
+        cracks = None if subject is None else subject.cracks
+        # An inspection that came out of a result folder has its arrays.
+        restored = cracks and result and cracks.probability is result.cracks
+        self._show(subject, result.folder.resolve() if result and restored else None)
 
     def _on_result(self, result: Result) -> None:
         self._show(Subject.of_result(result), result.folder.resolve())
 
     def _show(self, subject: Subject | None, folder: Path | None) -> None:
-        if subject is not None and subject.shows_the_same(self.state.subject):
+        shown = self.state.subject
+        if (subject is None and shown is None) or (subject and subject.shows_the_same(shown)):
             return
         self.state.show(subject, folder)
         if subject is None:

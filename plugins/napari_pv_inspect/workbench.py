@@ -21,6 +21,7 @@ from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.live import LiveKappa
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
+from napari_pv_inspect.reviewer import Reviewer
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY, open_sequence
 from napari_pv_inspect.worker import RunController
@@ -59,6 +60,7 @@ class Workbench(QObject):
         self.guesser = LayoutGuesser(self.model)
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
         self.navigator = Navigator(viewer, self.model, self.module)
+        self.review = Reviewer(self.model, self.history)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
         self.model.preview_changed.connect(self._on_preview)
@@ -97,6 +99,7 @@ class Workbench(QObject):
         self._fit_timer.stop()
         self.live.close()
         self.guesser.close()
+        self.review.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
@@ -108,6 +111,9 @@ class Workbench(QObject):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Close with the window, and before it."""
         if watched is self._main_window and event.type() == QEvent.Type.Close:
+            if not self.review.may_close(self._main_window):
+                event.ignore()
+                return True
             self.close()
         return False
 

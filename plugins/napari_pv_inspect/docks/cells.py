@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from napari.components import ViewerModel
-from qtpy.QtCore import QEvent, QModelIndex, QObject, QSignalBlocker, QSize, Qt, Signal
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, Signal
 from qtpy.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -62,7 +62,8 @@ class CellsDock(QWidget):
         self._delegate = TileDelegate(self._review)
         self.view = _view(self.cells, self._delegate)
         self.order = _combo(
-            ORDERS, "Order of the cells: as in the module, highest crack score or worst verdict first."
+            ORDERS,
+            "Order of the cells: as in the module, highest crack score or worst verdict first.",
         )
         self.filter = _combo(FILTERS, "Show only cells with this verdict of yours.")
         self.opacity = _slider(75, "Opacity of the crack marks, percent; 0 hides them.")
@@ -93,7 +94,6 @@ class CellsDock(QWidget):
         self.view.selectionModel().currentChanged.connect(self._on_current)
         self.view.clicked.connect(self._on_click)
         self.view.doubleClicked.connect(self.open_cell)
-        self.view.installEventFilter(self)
         bind_review_keys(self._bench, self, "Gallery")
         if self._bench.shortcuts is not None:
             key = Key("Return", "Open the selected cell large", "Gallery")
@@ -120,11 +120,11 @@ class CellsDock(QWidget):
             self._bench.review.step(0)
         open_cell_dock(self._bench)
 
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+    def event(self, event: QEvent) -> bool:
         """Paint thumbnails anew on a screen of another density."""
         if event.type() == QEvent.Type.DevicePixelRatioChange:
             self.cells.show_subject(self.devicePixelRatioF())
-        return False
+        return super().event(event)
 
     def _on_subject(self, subject: Subject | None) -> None:
         self.cells.show_subject(self.devicePixelRatioF())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from napari.components import ViewerModel
-from qtpy.QtCore import Qt
+from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
     QFileDialog,
     QFrame,
@@ -19,11 +19,13 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.module_box import ModuleBox
 from napari_pv_inspect.docks.result_box import ResultBox
+from napari_pv_inspect.docks.review_box import ReviewBox
 from napari_pv_inspect.docks.run_box import RunBox
 from napari_pv_inspect.sample import sample_folder
 from napari_pv_inspect.workbench import Workbench
@@ -53,6 +55,8 @@ class InspectDock(QWidget):
         self.module = ModuleBox(bench.model)
         self.lens = LensBox(bench.model, bench.live)
         self.image = ImageBox(bench.model)
+        self.verdict = ReviewBox(bench.model, bench.review, bench.history)
+        self.export = ExportBox(bench.model, bench.review.state)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
@@ -67,6 +71,7 @@ class InspectDock(QWidget):
             "Grid", "Which module it is, and where its cells are.", self.module, self.lens
         )
         self.add_page("Image", "How the module image is made.", self.image)
+        self.add_page("Review", "What you say about the cells.", self.verdict, self.export)
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.run)
         layout.addWidget(self.result)
@@ -76,6 +81,7 @@ class InspectDock(QWidget):
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
+        listen(bench.review.state.folder_wanted, self._on_folder_wanted)
         listen(bench.model.sequence_changed, self._on_sequence)
         listen(bench.model.inspection_changed, self._on_inspection)
         self._on_sequence(bench.model.sequence)
@@ -111,6 +117,7 @@ class InspectDock(QWidget):
         except InspectionError as error:
             self.bench.model.notice(str(error), is_error=True)
         else:
+            self.bench.review.saved(folder)
             self.bench.model.notice(f"Saved to {folder}.")
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
@@ -147,6 +154,11 @@ class InspectDock(QWidget):
 
     def _on_cancel(self) -> None:
         self.bench.runs.cancel()
+
+    def _on_folder_wanted(self, sentence: str) -> None:
+        self.bench.model.notice(sentence)
+        # Not within the key press that asked for it.
+        QTimer.singleShot(0, self, self._on_save)
 
     def _on_save(self) -> None:
         folder = QFileDialog.getSaveFileName(self, "Folder for the result", "result")[0]

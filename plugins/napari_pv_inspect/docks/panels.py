@@ -24,7 +24,7 @@ from qtpy.QtWidgets import QSizePolicy, QWidget
 
 from napari_pv_inspect.appearance import CRACK_RGB
 
-__all__ = ["Panel", "PaintPanel", "SharedView"]
+__all__ = ["PaintPanel", "Panel", "SharedView"]
 
 Pixels = NDArray[np.uint8]
 ZOOM_STEP = 1.2
