@@ -6,6 +6,7 @@ from pathlib import Path
 
 import napari
 from napari.layers import Layer
+from qtpy.QtCore import Qt
 
 from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.inspect import InspectDock
@@ -20,6 +21,9 @@ def build(viewer: napari.Viewer) -> tuple[InspectDock, CellsDock]:
     """Put the docks of the workbench into a window: controls on the right, cells below."""
     inspect, cells = InspectDock(viewer), CellsDock(viewer)
     viewer.window.add_dock_widget(inspect, name="Inspect module", area="right")
+    # The controls need the whole height, the gallery can do with less width.
+    corner, area = Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
+    viewer.window._qt_window.setCorner(corner, area)
     below = viewer.window.add_dock_widget(cells, name="Cells", area="bottom")
     below.hide()
     cells.filled.connect(below.show)
