@@ -145,9 +145,11 @@ class Journal:
     def _try(self, store: ReviewStore, entry: _Entry) -> None:
         try:
             value = entry.job(store)
-        except InspectionError as error:
+        except Exception as error:  # the thread must live on: what waits is not lost
+            sentence = str(error)
+            if not isinstance(error, InspectionError):
+                sentence = f"The review can't be stored ({type(error).__name__}: {error})."
             if not self._failing:
-                sentence = str(error)
                 self._finished.append(lambda: self._on_failure(sentence))
             with self._changed:
                 self._failing = True

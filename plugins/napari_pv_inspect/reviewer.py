@@ -42,6 +42,7 @@ class Reviewer(QObject):
         rater = str(self._memory.value("rater", "") or _user())
         self.state = ReviewModel(history, rater)
         self.goes_on = True
+        self._close_anyway = False
         self._collecting = QTimer(self)
         self._collecting.setInterval(COLLECT_MS)
         self._collecting.timeout.connect(self.state.collect)
@@ -58,6 +59,7 @@ class Reviewer(QObject):
         for signal, slot in self._signals:
             signal.connect(slot)
         self.state.failed.connect(self._on_failure)
+        self.state.folder_wanted.connect(self._on_folder_wanted)
         self.state.remembered.connect(self._on_remembered)
 
     def judge(self, kind: VerdictKind) -> None:
@@ -123,17 +125,17 @@ class Reviewer(QObject):
             signal.disconnect(slot, missing_ok=True)
         self.state.close()
 
-    _close_anyway = False
-
     def _try_again(self, window: QWidget | None) -> bool:
         buttons = QMessageBox.StandardButton
-        where = "the result was not saved yet" if self.state.folder is None else "storing fails"
+        unsaved = self.state.folder is None
+        where = "the result was not saved yet" if unsaved else "storing fails"
+        retry = buttons.NoButton if unsaved else buttons.Retry
         answer = QMessageBox.question(
             window,
             "Review",
             f"{self.state.pending} entries of the review are not stored, because {where}. "
             "Discard them?",
-            buttons.Discard | buttons.Retry | buttons.Cancel,
+            buttons.Discard | retry | buttons.Cancel,
             buttons.Cancel,
         )
         self._close_anyway = answer == buttons.Discard
@@ -180,6 +182,9 @@ class Reviewer(QObject):
         subject = self.state.subject
         if self._model.selected_cell is None and subject is not None and cell in subject.places:
             self._model.select_cell(cell)
+
+    def _on_folder_wanted(self, sentence: str) -> None:
+        self._model.notice(sentence)
 
     def _on_failure(self, sentence: str) -> None:
         self._model.notice(sentence, is_error=True)

@@ -58,7 +58,7 @@ def stored(dock: Any, qtbot: QtBot) -> None:
 
 
 def press(widget: Any, key: Any, qtbot: QtBot) -> None:
-    QApplication.setActiveWindow(widget.window())
+    widget.window().activateWindow()
     widget.setFocus()
     qtbot.waitUntil(widget.hasFocus, timeout=2000)
     QTest.keyClick(widget, key)

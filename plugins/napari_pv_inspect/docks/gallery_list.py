@@ -127,14 +127,14 @@ class TileDelegate(QStyledItemDelegate):
         painter.save()
         area = option.rect.adjusted(GAP // 2, GAP // 2, -(GAP // 2), -(GAP // 2))
         size = picture.deviceIndependentSize().toSize()
-        place = QRect(area.left() + (THUMBNAIL - size.width()) // 2, area.top(), *size.toTuple())
-        painter.drawPixmap(place.topLeft(), picture)
+        left = area.left() + (THUMBNAIL - size.width()) // 2
+        painter.drawPixmap(left, area.top(), picture)
         bar = QRect(area.left(), area.top() + THUMBNAIL, THUMBNAIL, BAR)
         self._paint_bar(painter, bar, cell, option)
         for k, verdict in enumerate(self._review.others(cell)[:5]):
             _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)
         if option.state & QStyle.StateFlag.State_Selected:
-            painter.setPen(QPen(QColor("#ffffff"), 2))
+            painter.setPen(QPen(option.palette.text().color(), 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRect(area.adjusted(-1, -1, 1, 1))
         painter.restore()

@@ -155,8 +155,7 @@ class InspectDock(QWidget):
     def _on_cancel(self) -> None:
         self.bench.runs.cancel()
 
-    def _on_folder_wanted(self, sentence: str) -> None:
-        self.bench.model.notice(sentence)
+    def _on_folder_wanted(self, _: str) -> None:
         # Not within the key press that asked for it.
         QTimer.singleShot(0, self, self._on_save)
 

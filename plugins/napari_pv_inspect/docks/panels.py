@@ -255,7 +255,8 @@ class PaintPanel(Panel):
     def _stroke(self, to: QPointF) -> None:
         start, self._last = self._last, to
         assert start is not None
-        self.stroked.emit(start.toTuple(), to.toTuple(), self.brush_px, self._erases)
+        ends = (start.x(), start.y()), (to.x(), to.y())
+        self.stroked.emit(*ends, self.brush_px, self._erases)
 
     def _paint_over(self, painter: QPainter) -> None:
         super()._paint_over(painter)

@@ -117,6 +117,7 @@ class ReviewBox(QGroupBox):
         # What is in the line is about the cell that was selected when it was shown.
         if self._noted is not None:
             self._reviewer.state.write_note(self._noted, self.note.text())
+            self.note.setModified(False)
 
     def _on_goes_on(self, goes_on: bool) -> None:
         self._reviewer.goes_on = goes_on
