@@ -1,13 +1,17 @@
 """How well cracks are found: labelled cells, foreign cells, reconstructed modules, drawn truth.
 
-    python benchmarks/cracks.py CELLS                          labelled cells (train/, val/)
+    python benchmarks/cracks.py cells CELLS                    labelled cells (train/, val/)
         [--elpv ELPV]                                          cells of other cameras
         [--disjoint NETWORK]                                   a model trained with --split modules
-        [--results DIR --sequences DIR --score SCORER]         DIR/D2 ... of `pv-inspect run`
         [--reliability FILE]                                   writes the table of docs/
+    python benchmarks/cracks.py sequences RESULTS SEQUENCES SCORER
+        [--only D2 ...] [--detectors network ...]
+        [--unseen CELLS]                                       only cells that are not in train/
 
-ELPV holds labels.csv and images/. SCORER is the script that scores a sequence; its functions are
-used. BICUBIC is the first used frame, rectified with the geometry of the result; HR is the truth.
+ELPV holds labels.csv and images/. RESULTS holds one folder of `pv-inspect run` per sequence, of the
+same name; nothing is reconstructed again. SCORER is the script that scores a sequence; its
+functions are used. BICUBIC is the first used frame, rectified with the geometry of the result; HR
+is the truth.
 """
 
 from __future__ import annotations
@@ -22,6 +26,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+from crack_unseen import Learnt
+from crack_visibility import lines_of, pieces
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
@@ -44,6 +50,9 @@ from pv_inspect.results import Result, read_result
 from pv_inspect.settings import Settings
 
 Image = NDArray[np.float32]
+
+# A point of a crack is found if a mark lies within this.
+_TOLERANCE_LR_PX = 0.75
 
 
 def detectors() -> dict[str, CrackDetector]:
@@ -154,10 +163,36 @@ def bicubic(result: Result, sequence: Path) -> Image:
     return np.maximum(np.asarray(seen, np.float32), 0) / np.float32(65535)
 
 
+def probability_of(image: Image, result: Result, detector: CrackDetector) -> tuple[Image, float]:
+    """Crack probability of an image on the grid of a result, and the threshold."""
+    layout = result.grid.layout
+    cells = [
+        [image[result.grid.cell_slices(i, j)] for j in range(layout.cols)]
+        for i in range(layout.rows)
+    ]
+    work = read_cracks(CellTiles(np.array(cells), result.grid), Settings(), detector)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value.probability, end.value.threshold
+
+
 def sequence_rows(
-    name: str, result_folder: Path, sequence: Path, scorer: Any, found: dict[str, CrackDetector]
-) -> Iterator[str]:
-    """Yield cracks of ours, BICUBIC and the HR truth, as the scorer counts them."""
+    name: str,
+    result_folder: Path,
+    sequence: Path,
+    scorer: Any,
+    found: dict[str, CrackDetector],
+    learnt: Learnt | None = None,
+) -> tuple[list[str], list[str]]:
+    """Score cracks of ours, BICUBIC and the HR truth as the scorer does.
+
+    Returns
+    -------
+    tuple of two lists of str
+        Lines with the figures, and lines by width and contrast of the cracks.
+    """
     result = read_result(result_folder)
     truth = json.loads((sequence / "truth" / "truth.json").read_text())
     record = json.loads((result_folder / "result.json").read_text())
@@ -183,26 +218,47 @@ def sequence_rows(
         "BICUBIC": bicubic(result, sequence),
         "HR": np.ascontiguousarray(np.rot90(best, -k)),
     }
+    judged = np.ones(turned, bool)
+    if learnt is not None:
+        cells = np.ndindex(result.grid.layout.rows, result.grid.layout.cols)
+        upright = np.zeros(result.image.shape, bool)
+        unseen = [result.grid.cell_slices(*at) for at in cells]
+        unseen = [where for where in unseen if not learnt.holds(images["HR"][where])]
+        for where in unseen:
+            upright[where] = True
+        judged = np.rot90(upright, k)
+        mask = mask & judged[y0:y1, x0:x1]
+        name = f"{name} ({len(unseen)})"
+    scene = pieces(best, mask_of(mask, turned, window), result.grid.pixels_per_unit)
+    figures, shares = [], []
     for detector_name, detector in found.items():
-        texts, f1 = [], {}
+        texts, f1, seen_of = [], {}, {}
         for image_name, image in images.items():
-            cells = [
-                [image[result.grid.cell_slices(i, j)] for j in range(result.grid.layout.cols)]
-                for i in range(result.grid.layout.rows)
-            ]
-            work = read_cracks(CellTiles(np.array(cells), result.grid), Settings(), detector)
-            try:
-                while True:
-                    next(work)
-            except StopIteration as end:
-                cracks = end.value
-            seen = np.rot90(cracks.probability, k)[y0:y1, x0:x1]
-            score = scorer.score_cracks(seen, mask, cracks.threshold)["max"]
+            probability, threshold = probability_of(image, result, detector)
+            turned_map = np.ascontiguousarray(np.rot90(probability, k) * judged)
+            score = scorer.score_cracks(turned_map[y0:y1, x0:x1], mask, threshold)["max"]
             part, group = score["segmentation"], score["detection"]
             f1[image_name] = (part["f1"], part["ap"])
             texts.append(f"{part['f1']:8.3f}{part['ap']:7.3f}{group['f1']:7.3f}")
-        ratios = [a / max(b, 1e-9) for a, b in zip(f1["ours"], f1["BICUBIC"], strict=True)]
-        yield f"{name:<4}{detector_name:<22}{''.join(texts)}{ratios[0]:8.1f}{ratios[1]:6.1f}"
+            reach = round(_TOLERANCE_LR_PX * result.grid.magnification)
+            seen_of[image_name] = scene.found(turned_map, threshold, reach)
+        ours, bicubic_f1, truth_f1 = (f1[name] for name in ("ours", "BICUBIC", "HR"))
+        ratios = [a / max(b, 1e-9) for a, b in zip(ours, bicubic_f1, strict=True)]
+        figures.append(
+            f"{name:<8}{detector_name:<22}{''.join(texts)}{ratios[0]:8.1f}{ratios[1]:6.1f}"
+            f"{ours[0] / max(truth_f1[0], 1e-9):8.2f}"
+        )
+        shares.append(f"{name:<8}{detector_name}")
+        shares += lines_of(name, scene, seen_of, result.grid.magnification)
+    return figures, shares
+
+
+def mask_of(part: NDArray[np.bool_], shape: tuple[int, ...], window: Any) -> NDArray[np.bool_]:
+    """Mask of a window, put back on the whole grid."""
+    x0, x1, y0, y1 = window
+    whole = np.zeros(shape, bool)
+    whole[y0:y1, x0:x1] = part
+    return whole
 
 
 def reliability_table(cells: list[LabelledCell], detector: CrackDetector) -> str:
@@ -220,13 +276,8 @@ def reliability_table(cells: list[LabelledCell], detector: CrackDetector) -> str
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("cells", type=Path)
-    for name in ("elpv", "disjoint", "results", "sequences", "score", "reliability"):
-        parser.add_argument(f"--{name}", type=Path)
-    options = parser.parse_args()
+def cells_command(options: argparse.Namespace) -> None:
+    """Labelled cells, foreign cells, drawn truth, speed."""
     found, val = detectors(), read_labelled(options.cells / "val")
     print(*labelled_rows(val, found), sep="\n")
     if options.disjoint:
@@ -241,22 +292,56 @@ def main() -> None:
     print(*speed_rows(found), sep="\n")
     if options.reliability:
         options.reliability.write_text(reliability_table(val, found["network"]), encoding="utf-8")
-    if options.results and options.sequences and options.score:
-        spec = importlib.util.spec_from_file_location("scorer", options.score)
-        assert spec is not None
-        assert spec.loader is not None
-        scorer = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(scorer)
-        print(
-            f"{'coarse masks':<26}"
-            + "".join(f"{n + ' F1':>8}{'AP':>7}{'inst.':>7}" for n in ("ours", "BIC", "HR"))
-            + "   F1, AP: ours / BICUBIC"
-        )
-        for folder in sorted(options.results.iterdir()):
-            sequence = options.sequences / folder.name
-            if (folder / "result.json").is_file() and (sequence / "truth" / "cracks.png").is_file():
-                rows = sequence_rows(folder.name, folder, sequence, scorer, found)
-                print(*rows, sep="\n")
+
+
+def sequences_command(options: argparse.Namespace) -> None:
+    """Ours against BICUBIC and the truth, on stored results."""
+    spec = importlib.util.spec_from_file_location("scorer", options.scorer)
+    assert spec is not None
+    assert spec.loader is not None
+    scorer = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(scorer)
+    every = detectors()
+    found = {name: every[name] for name in options.detectors or every}
+    print(
+        f"{'coarse masks':<30}"
+        + "".join(f"{n + ' F1':>8}{'AP':>7}{'inst.':>7}" for n in ("ours", "BIC", "HR"))
+        + "   F1, AP: / BIC   F1 / HR"
+    )
+    by_width = []
+    learnt = None
+    if options.unseen:
+        learnt = Learnt(*(read_labelled(options.unseen / part) for part in ("train", "val")))
+    for folder in sorted(options.results.iterdir()):
+        sequence = options.sequences / folder.name
+        if options.only and folder.name not in options.only:
+            continue
+        if (folder / "result.json").is_file() and (sequence / "truth" / "cracks.png").is_file():
+            figures, shares = sequence_rows(folder.name, folder, sequence, scorer, found, learnt)
+            print(*figures, sep="\n", flush=True)
+            by_width += shares
+    print(f"\n{'cracks by':<36}{'share':>7}{'ours':>9}{'BICUBIC':>9}{'HR':>9}  found")
+    print(*by_width, sep="\n")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
+    commands = parser.add_subparsers(required=True)
+    cells = commands.add_parser("cells", help=cells_command.__doc__)
+    cells.add_argument("cells", type=Path)
+    for name in ("elpv", "disjoint", "reliability"):
+        cells.add_argument(f"--{name}", type=Path)
+    cells.set_defaults(call=cells_command)
+    sequences = commands.add_parser("sequences", help=sequences_command.__doc__)
+    for name in ("results", "sequences", "scorer"):
+        sequences.add_argument(name, type=Path)
+    sequences.add_argument("--unseen", type=Path, metavar="CELLS")
+    sequences.add_argument("--only", nargs="+", metavar="NAME")
+    sequences.add_argument("--detectors", nargs="+", metavar="NAME")
+    sequences.set_defaults(call=sequences_command)
+    options = parser.parse_args()
+    options.call(options)
 
 
 if __name__ == "__main__":

@@ -41,6 +41,8 @@ def main(arguments: list[str]) -> None:
     dock, _cells = build(viewer)
     settle(1.0)
     dock.bench.open(options.sequence or sample_folder())
+    while dock.bench.opener.busy:
+        settle(0.2)
     settle(1.0)
     dock.run.run.click()
     while dock.bench.model.run_state is not RunState.IDLE:

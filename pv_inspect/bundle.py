@@ -51,12 +51,15 @@ class View:
         Where it was measured, LR px.
     sigma_px : (n,) float64
         Standard deviation of that per axis, LR px.
+    trusted : (n,) bool or None
+        Points that are never outliers and say nothing about the errors of the others.
     """
 
     ids: NDArray[np.intp]
     points: Array
     px: Array
     sigma_px: Array
+    trusted: Bools | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,6 +251,9 @@ class Fit:
             inliers = {i: fit._squared(i) <= limit for i in fit.homographies}
             # Every frame stays determined, also one that is rejected for its misfit later.
             inliers = {i: m if m.mean() > 0.5 else np.ones_like(m) for i, m in inliers.items()}
+            for i, view in fit.bundle.views.items():
+                if view.trusted is not None:
+                    inliers[i] = inliers[i] | view.trusted
             same = all(np.array_equal(inliers[i], fit.inliers[i]) for i in inliers)
             fit = _adjust(replace(fit, inliers=inliers), robust=False)
             before = fit.repetition
@@ -256,6 +262,11 @@ class Fit:
             if same and abs(fit.repetition / before - 1.0) < 0.1:
                 break
         return fit
+
+    def at_kappa(self, kappa: float) -> Fit:
+        """Return the least-squares solution with kappa fixed, over the same inliers."""
+        bundle = replace(self.bundle, kappa=kappa)
+        return _adjust(replace(self.with_kappa(kappa), bundle=bundle), robust=False)
 
     def cost(self, robust: bool) -> float:
         """Sum of losses and priors, in units of the residuals' variance."""
@@ -314,11 +325,13 @@ class Fit:
         size = 1 + max(int(view.ids.max()) for view in self.bundle.views.values())
         total, count = np.zeros((size, 2)), np.zeros(size)
         for i, H in self.homographies.items():
-            view, good = self.bundle.views[i], self.inliers[i]
+            view, good = self.bundle.views[i], self._usual(i)
             residuals = (view.px - self.camera.project(H, view.points)) / view.sigma_px[:, None]
             total[view.ids[good]] += residuals[good]
             count[view.ids[good]] += 1.0
         seen = count > 0
+        if not seen.any():
+            return 1.0
         ratios = np.sum(total[seen] ** 2, axis=1) / (2.0 * count[seen] * self.scale**2)
         return float(np.clip(np.nan_to_num(np.mean(ratios), nan=1.0), 1.0, len(self.homographies)))
 
@@ -327,8 +340,13 @@ class Fit:
         squared = (self.distances_px(i) / self.bundle.views[i].sigma_px) ** 2
         return np.where(np.isnan(squared), NO_IMAGE, squared)
 
+    def _usual(self, i: int) -> Bools:
+        """Inliers of frame i that tell how large errors usually are."""
+        trusted = self.bundle.views[i].trusted
+        return self.inliers[i] if trusted is None else self.inliers[i] & ~trusted
+
     def _inlier_scale(self) -> float:
-        squared = np.concatenate([self._squared(i)[self.inliers[i]] for i in self.homographies])
+        squared = np.concatenate([self._squared(i)[self._usual(i)] for i in self.homographies])
         freedom = 2 * len(squared) - 8 * len(self.homographies) - len(self.bundle.free)
         # Without redundancy the residuals say nothing about the errors: believe sigma_px.
         if freedom < 1:

@@ -11,7 +11,9 @@ given, or read off the homographies as in Zhang's method where they determine it
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import cv2
@@ -28,7 +30,14 @@ from pv_inspect.settings import Settings
 if TYPE_CHECKING:
     from pv_inspect.crossings import Crossings, FrameCrossings
 
-__all__ = ["Calibration", "calibrate", "conventional_focal_length", "focal_length_source"]
+__all__ = [
+    "Calibration",
+    "calibrate",
+    "conventional_focal_length",
+    "focal_length_source",
+    "refit_frame",
+    "residual_over_kappa",
+]
 
 Array = NDArray[np.float64]
 
@@ -127,13 +136,11 @@ def calibrate(
     frames = _Frames(len(crossings.frames))
     views = _views(crossings, to_unit, frames)
     starts = _starting_homographies(views, Camera(K, 0.0), frames)
-    bundle = Bundle(
-        views={i: views[i] for i in starts},
-        focal=float(K[0, 0]),
-        centre=(float(K[0, 2]), float(K[1, 2])),
-        centre_std=std if known is None else 0.0,
-        kappa=settings.kappa if known is None else known.kappa,
-        pixel_shape=K[:2, :2] / K[0, 0],
+    bundle = _bundle_of(
+        Camera(K, 0.0),
+        {i: views[i] for i in starts},
+        std if known is None else 0.0,
+        settings.kappa if known is None else known.kappa,
     )
     cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
     fit = _fit_without_strangers(bundle, starts, cell, frames)
@@ -168,6 +175,116 @@ def calibrate(
         focal_convention=convention,
         kappa_std=fit.kappa_std,
         crossing_sigma_px=sigma,
+    )
+
+
+def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calibration:
+    """Fit the pose of one frame to its crossing points, under the camera that is known.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Its camera is held, its other frames stay.
+    crossings : Crossings
+        Those of frame i may have changed since.
+    i : int
+
+    Returns
+    -------
+    Calibration
+        With frame i not used, and the reason, if its points do not determine a pose.
+    """
+    to_unit, frames = _to_unit(crossings.layout), _Frames(1)
+    alone = replace(crossings, frames=(crossings.frames[i],))
+    homography, rms = np.full((3, 3), np.nan), np.nan
+    with suppress(InspectionError):
+        views = _views(alone, to_unit, frames)
+        starts = _starting_homographies(views, Camera(calibration.camera.K, 0.0), frames)
+        bundle = _bundle_of(calibration.camera, views, 0.0, calibration.camera.kappa)
+        cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
+        fit = _fit_without_strangers(bundle, starts, cell, frames)
+        homography, rms = fit.homographies[0] @ to_unit, fit.rms_px(0)
+    homographies, rms_px = calibration.homographies.copy(), calibration.rms_px.copy()
+    used = calibration.used.copy()
+    homographies[i], rms_px[i], used[i] = homography, rms, not frames.why[0]
+    return replace(
+        calibration,
+        homographies=homographies,
+        used=used,
+        why=(*calibration.why[:i], frames.why[0], *calibration.why[i + 1 :]),
+        rms_px=rms_px,
+        crossing_sigma_px=None,
+    )
+
+
+def residual_over_kappa(
+    crossings: Crossings,
+    calibration: Calibration,
+    kappas: Sequence[float],
+    *,
+    n_frames: int = 8,
+) -> Array:
+    """RMS distance of the crossing points from the model for other values of kappa.
+
+    Parameters
+    ----------
+    crossings, calibration
+        What was measured and what was fitted to it. Points that are outliers of the fit stay out.
+    kappas : sequence of float
+        For the focal length of the calibration.
+    n_frames : int
+        So many used frames, spread over the sequence, are looked at.
+
+    Returns
+    -------
+    (n_kappas,) float64
+        LR px; NaN where a point has no image.
+
+    Notes
+    -----
+    Poses are fitted for every kappa, each starting from those of its neighbour towards the fit;
+    the principal point stays where the calibration has it.
+    """
+    to_unit, frames = _to_unit(crossings.layout), _Frames(len(crossings.frames))
+    views = _views(crossings, to_unit, frames)
+    used = [i for i in views if calibration.used[i]]
+    chosen = [used[k] for k in np.unique(np.linspace(0, len(used) - 1, n_frames).astype(int))]
+    camera = calibration.camera
+    bundle = _bundle_of(camera, {i: views[i] for i in chosen}, 0.0, camera.kappa)
+    from_unit = np.linalg.inv(to_unit)
+    poses = {i: calibration.homographies[i] @ from_unit for i in chosen}
+    start = Fit(
+        bundle,
+        {i: H / H[2, 2] for i, H in poses.items()},
+        np.array([camera.kappa, *bundle.centre]),
+        {i: np.ones(len(view.px), dtype=bool) for i, view in bundle.views.items()},
+        scale=1.0,
+    )
+    start = replace(start, scale=start.robust_scale()).refined()
+    order = np.argsort(kappas)
+    below = [k for k in order[::-1] if kappas[k] <= camera.kappa]
+    above = [k for k in order if kappas[k] > camera.kappa]
+    residuals = np.full(len(kappas), np.nan)
+    for way in (below, above):
+        fit = start
+        for k in way:
+            fit = fit.at_kappa(float(kappas[k]))
+            errors = [fit.rms_px(i) ** 2 for i in chosen]
+            residuals[k] = np.sqrt(np.mean(errors))
+    return residuals
+
+
+def _bundle_of(
+    camera: Camera, views: dict[int, View], centre_std: float, kappa: float | None
+) -> Bundle:
+    K = camera.K
+    return Bundle(
+        views=views,
+        focal=float(K[0, 0]),
+        centre=(float(K[0, 2]), float(K[1, 2])),
+        centre_std=centre_std,
+        kappa=kappa,
+        pixel_shape=K[:2, :2] / K[0, 0],
     )
 
 
@@ -280,6 +397,7 @@ def _views(crossings: Crossings, to_unit: Array, frames: _Frames) -> dict[int, V
             points[good],
             np.asarray(frame.points_px)[good],
             _sigma(frame)[good],
+            None if frame.edited is None else frame.edited[good],
         )
     frames.require_some()
     return views

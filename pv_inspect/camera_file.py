@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
 
-__all__ = ["KnownCamera", "read_camera"]
+__all__ = ["KnownCamera", "read_camera", "write_camera"]
 
 # Spelled in lower case without underscores.
 _MATRIX_KEYS = ("cameramatrix", "k")
@@ -78,6 +78,41 @@ def read_camera(path: Path, image_shape: tuple[int, int]) -> KnownCamera:
         raise InspectionError(f"{path}: {error}") from None
     _check_size(path, entries, camera, image_shape)
     return KnownCamera(camera.K, kappa)
+
+
+def write_camera(path: Path, camera: Camera, image_shape: tuple[int, int]) -> None:
+    """Write a camera as OpenCV does, for `read_camera` and for other programs.
+
+    Parameters
+    ----------
+    path : Path
+        The suffix .json or .xml makes JSON or XML, any other one YAML.
+    camera : Camera
+    image_shape : tuple of int
+        (height, width) of the frames that it belongs to.
+
+    Raises
+    ------
+    InspectionError
+        If the file can't be written.
+    """
+    kind = path.suffix.lower() if path.suffix.lower() in (".json", ".xml") else ".yaml"
+    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
+    storage = cv2.FileStorage(kind, mode)
+    storage.write("image_width", image_shape[1])
+    storage.write("image_height", image_shape[0])
+    storage.write("camera_matrix", np.asarray(camera.K, np.float64))
+    storage.write("distortion_coefficients", np.array([[camera.kappa, 0.0, 0.0, 0.0, 0.0]]))
+    text = storage.releaseAndGetString()
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InspectionError(
+            f"The camera can't be written to {path} ({error.strerror}): choose another folder."
+        ) from None
 
 
 def _radial(path: Path, distortion: NDArray[np.float64] | None) -> float | None:

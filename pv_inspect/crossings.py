@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,8 @@ __all__ = ["Crossings", "FrameCrossings", "crossings_of"]
 
 Array = NDArray[np.float64]
 
+HAND_SIGMA_PX = 0.3
+"""Of a point set by hand in a frame without any other."""
 MIN_ON_SIDE = 3
 """So many outer edges say where the others of their side are."""
 
@@ -33,12 +36,41 @@ class FrameCrossings:
         Whether both coordinates come from visible gaps; otherwise the point is predicted.
     why : str
         Empty, or the reason why the frame failed.
+    edited : (n_crossings,) bool or None
+        Which points a person has set, so that no fit takes them for outliers, or, where they are
+        not measured, has removed. None: none.
     """
 
     points_px: Array
     sigma_px: Array
     measured: NDArray[np.bool_]
     why: str = ""
+    edited: NDArray[np.bool_] | None = None
+
+    @property
+    def by_hand(self) -> NDArray[np.bool_]:
+        """``edited`` as an array: (n_crossings,) bool."""
+        return np.zeros(len(self.measured), bool) if self.edited is None else self.edited
+
+    def with_edits(self, edits: Mapping[int, tuple[float, float] | None]) -> FrameCrossings:
+        """Return the points as a person wants them.
+
+        Parameters
+        ----------
+        edits : mapping of crossing number to (x, y) or None
+            LR px; None removes the point: its crossing counts as not measured. A point that was
+            set is as sure as the usual measured one of the frame.
+        """
+        points, sigma, measured = self.points_px.copy(), self.sigma_px.copy(), self.measured.copy()
+        edited = self.by_hand.copy()
+        sure = self.measured & np.isfinite(self.sigma_px)
+        usual = float(np.median(self.sigma_px[sure])) if sure.any() else HAND_SIGMA_PX
+        for k, point in edits.items():
+            edited[k], measured[k] = True, point is not None
+            if point is not None:
+                points[k], sigma[k] = point, usual
+        # A frame that was given up gets another chance; the calibration counts its points.
+        return FrameCrossings(points, sigma, measured, edited=edited)
 
     @classmethod
     def failed(cls, layout: ModuleLayout, why: str) -> FrameCrossings:
@@ -55,6 +87,7 @@ class FrameCrossings:
             points_px=self.points_px[order],
             sigma_px=self.sigma_px[order],
             measured=self.measured[order],
+            edited=None if self.edited is None else self.edited[order],
         )
 
 

@@ -137,9 +137,9 @@ class MovingFrame:
         _sample(self.places, self.count, blurred, out)
         return out
 
-    def scatter(self, values: Image, out: Image, power: int = 1) -> None:
-        """Add S_i' of (n,) values to an HR image; with power 2 the taps are squared."""
-        _scatter(self.places, self.bands, self.count, values, power == 2, out)
+    def scatter(self, values: Image, out: Image) -> None:
+        """Add S_i' of (n,) values to an HR image."""
+        _scatter(self.places, self.bands, self.count, values, out)
 
     def add_normal(self, weights: Image, blurred: Image, out: Image) -> None:
         """Add ``S_i' diag(weights) S_i`` of a blurred HR image to another."""
@@ -204,7 +204,7 @@ def _sample(places, count, f, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
-def _scatter(places, bands, count, values, squared, out):  # type: ignore[no-untyped-def]
+def _scatter(places, bands, count, values, out):  # type: ignore[no-untyped-def]
     """Bands of one phase lie a band apart, so that their taps never meet."""
     n_bands = len(bands) - 1
     for phase in range(2):
@@ -214,16 +214,13 @@ def _scatter(places, bands, count, values, squared, out):  # type: ignore[no-unt
             for p in range(bands[band], bands[band + 1]):
                 q = places[p]
                 value = out.dtype.type(values[p]) / count
-                if squared:
-                    value /= count
                 for k in range(count):
                     t = np.float32(k - 0.5 * (count - 1))
                     iy, ix = fill_taps(q[0] + t * q[2], q[1] + t * q[3], q[4], q[5], q[6], taps)
                     for a in range(3):
                         line = out[iy + a - 1]
                         for b in range(3):
-                            c = taps[3 * a + b]
-                            line[ix + b - 1] += value * (c * c if squared else c)
+                            line[ix + b - 1] += value * taps[3 * a + b]
 
 
 @numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})

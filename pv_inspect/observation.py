@@ -345,14 +345,6 @@ class NormalEquations:
         return out
 
     @property
-    def density(self) -> Image:
-        """Diagonal of ``sum_i S_i' V_i^-1 S_i``: how densely samples lie around an HR pixel."""
-        out = self.stencil.diagonal.copy()
-        for frame, weights, _ in self.moving:
-            frame.scatter(weights, out, power=2)
-        return out
-
-    @property
     def diagonal(self) -> Image:
         """Positive approximation of the operator's diagonal, for preconditioning.
 

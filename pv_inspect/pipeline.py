@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -22,10 +22,14 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import guess_layout, is_known
+from pv_inspect.notebook import in_notebook
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["Inspection", "Step", "inspect", "run_to_end"]
 
@@ -161,6 +165,35 @@ class Inspection:
         # `replace` can't know which type belongs to which field; _STAGE_OF_PART does.
         return replace(self, seconds=seconds, **{**emptied, _FIELD[stage]: part})  # type: ignore[arg-type]
 
+    def plot_grid(self, frame: int | None = None, ax: Axes | None = None) -> Axes:
+        """Plot a frame with its crossing points and the fitted grid; see `plotting`."""
+        from pv_inspect.plotting import plot_grid
+
+        return plot_grid(self, frame, ax)
+
+    def plot_cells(self, ax: Axes | None = None) -> Axes:
+        """Plot the cells of the module with their cracks; see `plotting`."""
+        from pv_inspect.plotting import plot_cells
+
+        return plot_cells(self, ax)
+
+    def plot_residuals(self, ax: Axes | None = None) -> Axes:
+        """Plot the residual of every frame; see `plotting`."""
+        from pv_inspect.plotting import plot_residuals
+
+        return plot_residuals(self, ax)
+
+    def __repr__(self) -> str:
+        done = [stage.value for stage, name in _FIELD.items() if getattr(self, name) is not None]
+        cells = f"{self.layout.rows} x {self.layout.cols} cells"
+        where = str(self.sequence.source)
+        return f"<Inspection of {where!r}: {cells}; done: {', '.join(done) or 'nothing'}>"
+
+    def _repr_html_(self) -> str:
+        from pv_inspect.display import inspection_html
+
+        return inspection_html(self)
+
     def _only(self, settings: Settings) -> Inspection:
         """Return what of this is still true under other settings."""
         stale = self.stale(settings)
@@ -245,7 +278,7 @@ def inspect(
 
 
 def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
-    """Drive `inspect` to its end and return the result.
+    """Drive `inspect` to its end and return the result; in a notebook with a progress bar.
 
     Parameters
     ----------
@@ -256,6 +289,10 @@ def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
     -------
     Inspection
     """
+    if in_notebook():
+        from pv_inspect.progress import follow
+
+        return follow(steps)
     while True:
         try:
             next(steps)

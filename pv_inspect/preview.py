@@ -6,28 +6,30 @@ and the solver starts from the image before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import wraps
-from typing import ParamSpec, TypeVar
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.layout import HrGrid
-from pv_inspect.motion import motion_of
+from pv_inspect.motion import STILL, motion_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.photometry import huber_weights, observed
-from pv_inspect.psf_estimation import View, cut_view
-from pv_inspect.reconstruction import Reconstruction, brightness_of
-from pv_inspect.registration import Registration
+from pv_inspect.prediction import View, cut_view
+from pv_inspect.reconstruction import TYPICAL_SIGMA_LR_PX, Reconstruction, brightness_of
+from pv_inspect.registration import Registration, module_mean
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
-from pv_inspect.solver import Problem, Solution, first_guess, minimise
+from pv_inspect.solver import Problem, minimise
 
-__all__ = ["Preview", "Region", "RegionImage"]
+__all__ = ["Preview", "Region", "RegionImage", "bent"]
 
 Image = NDArray[np.float32]
 
@@ -35,23 +37,49 @@ Image = NDArray[np.float32]
 _MARGIN_LR_PX = 4.0
 
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def _on_one_thread(function: Callable[P, T]) -> Callable[P, T]:
+@contextmanager
+def _one_thread() -> Iterator[None]:
     """Run compiled code on one thread: on so few pixels more of them wait for each other."""
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(threads)
 
-    @wraps(function)
-    def run(*args: P.args, **kwargs: P.kwargs) -> T:
-        threads = numba.get_num_threads()
-        numba.set_num_threads(1)
-        try:
-            return function(*args, **kwargs)
-        finally:
-            numba.set_num_threads(threads)
 
-    return run
+def bent(registration: Registration, kappa: float) -> Registration:
+    """Return the registration with another kappa, every crossing point as near as it can be.
+
+    Parameters
+    ----------
+    registration : Registration
+    kappa : float
+
+    Raises
+    ------
+    InspectionError
+        If a camera with that kappa can't see the module where it is.
+
+    Notes
+    -----
+    A homography per frame, least squares between the layout and where the crossing points are
+    now. What no homography can take up is the bend that this kappa is wrong by.
+    """
+    camera = Camera(registration.camera.K, kappa)
+    layout = registration.layout.crossings()
+    homographies = registration.homographies.copy()
+    for i in np.flatnonzero(registration.used):
+        seen = camera.undistort(camera.to_normalised(registration.crossings_px(int(i))))
+        known = np.isfinite(seen).all(axis=1)
+        found = cv2.findHomography(layout[known], seen[known])[0] if known.sum() >= 4 else None
+        if found is None:
+            raise InspectionError(
+                f"With kappa {kappa:.3f} the lens can't show the module where it is: choose a "
+                "kappa nearer to the fitted one."
+            )
+        homographies[i] = found
+    return replace(registration, camera=camera, homographies=homographies)
 
 
 @dataclass(frozen=True)
@@ -79,7 +107,7 @@ class RegionImage:
     Parameters
     ----------
     image : (height, width) float32
-        Intensities, full scale = 1.
+        Intensities, full scale = 1. A view that goes on changing until ``finished``.
     grid : HrGrid
         Where its pixels lie on the module.
     cell : tuple of slice
@@ -87,6 +115,8 @@ class RegionImage:
     prior_weight, psf_sigma_lr_px : float
         lambda and optical blur that were used.
     iterations : int
+    finished : bool
+        Whether the solver has ended.
     """
 
     image: Image
@@ -95,6 +125,7 @@ class RegionImage:
     prior_weight: float
     psf_sigma_lr_px: float
     iterations: int
+    finished: bool
 
 
 class Preview:
@@ -104,29 +135,40 @@ class Preview:
     ----------
     sequence : Sequence
     registration : Registration
-    whole : Reconstruction
+    whole : Reconstruction, optional
         Of the whole module: PSF, motion and lambda are taken from it where the settings leave
-        them open, and the brightness that the prior measures contrast against.
+        them open, and the brightness that the prior measures contrast against. Without it they
+        are typical ones, and the frames are taken as still.
 
     Notes
     -----
-    A change of lambda or of the prior keeps the equations; a change of the PSF, of the region or
-    of the magnification builds them again from the part of the frames that sees the region.
+    A change of lambda or of the prior keeps the equations; a change of the PSF or of the
+    magnification builds them again, from the part of the frames that sees the region.
     """
 
     def __init__(
-        self, sequence: Sequence, registration: Registration, whole: Reconstruction
+        self,
+        sequence: Sequence,
+        registration: Registration,
+        whole: Reconstruction | None = None,
     ) -> None:
         self._sequence = sequence
         self._registration = registration
         self._whole = whole
-        self._brightness = brightness_of(whole.image, whole.grid)
+        if whole is not None:
+            self._known, self._known_grid = whole.image, whole.grid
+        else:
+            scale = registration.lr_px_per_unit
+            self._known_grid = HrGrid.covering(registration.layout, scale, 1.0)
+            self._known = module_mean(sequence, registration, self._known_grid)[0]
+        self._brightness = brightness_of(self._known, self._known_grid)
         self._rays = SensorRays.of(registration.camera, sequence.shape)
-        self._place: tuple[Region, float] | None = None
+        self._seen: tuple[Region, str] | None = None
         self._views: list[View] = []
-        self._sigma = float("nan")
+        self._built_for: tuple[HrGrid, float] | None = None
         self._equations: NormalEquations | None = None
         self._image: Image | None = None
+        self._image_grid: HrGrid | None = None
 
     def moved(self, registration: Registration) -> Preview:
         """Return the preview for another geometry, after a change of kappa say.
@@ -134,52 +176,76 @@ class Preview:
         It starts from the image that this one has.
         """
         other = Preview(self._sequence, registration, self._whole)
-        other._image = self._image
+        other._image, other._image_grid = self._image, self._image_grid
         return other
 
-    @_on_one_thread
     def show(self, region: Region, settings: Settings) -> RegionImage:
-        """Reconstruct a region.
+        """Reconstruct a region; the last of what `refine` yields."""
+        for shown in self.refine(region, settings):
+            last = shown
+        return last
+
+    def refine(self, region: Region, settings: Settings) -> Iterator[RegionImage]:
+        """Reconstruct a region, step by step.
 
         Parameters
         ----------
         region : Region
         settings : Settings
 
-        Returns
-        -------
+        Yields
+        ------
         RegionImage
+            After every step of the solver; the last one is finished. Closing the generator ends
+            the work, and the next one begins from the image so far.
 
         Raises
         ------
         InspectionError
             If the module has no such region, or no frame sees it.
         """
+        steps = self._steps(region, settings)
+        while True:
+            with _one_thread():
+                shown = next(steps, None)
+            if shown is None:
+                return
+            yield shown
+
+    def _steps(self, region: Region, settings: Settings) -> Generator[RegionImage, None, None]:
         grid, cell = self._window(region, settings.magnification)
-        given = settings.psf_sigma_lr_px
-        sigma = self._whole.psf_sigma_lr_px if given is None else given
-        place = (region, settings.magnification)
-        if place != self._place:
-            self._views = self._cut(grid, region)
-            self._equations = None
-            if self._place not in (None, place):
-                self._image = None
-            self._place = place
-        if self._equations is None or sigma != self._sigma:
+        seen = (region, settings.motion_blur)
+        if seen != self._seen:
+            self._views = self._cut(grid, region, still=settings.motion_blur == "none")
+            self._seen, self._built_for = seen, None
+        sigma, weight = self._open_values(settings)
+        if self._equations is None or self._built_for != (grid, sigma):
             self._equations = self._built(grid, sigma)
-            self._sigma = sigma
-        equations = self._equations
-        given = settings.prior_weight
-        weight = self._whole.prior_weight if given is None else given
+            self._built_for = (grid, sigma)
         start = self._image
-        if start is None or start.shape != grid.shape:
+        if start is None or self._image_grid != grid:
             start = self._look(grid)
-        if start is None:
-            start = first_guess(equations)
-        problem = Problem(equations, weight, self._brightness, settings.prior)
-        solution = _solved(minimise(problem, start, settings.max_iterations))
-        self._image = np.asarray(solution.image, np.float32)
-        return RegionImage(self._image, grid, cell, weight, sigma, solution.iterations)
+        problem = Problem(self._equations, weight, self._brightness, settings.prior)
+        work = minimise(problem, start, settings.max_iterations)
+        finished = False
+        while not finished:
+            try:
+                state = next(work)
+            except StopIteration as end:
+                state, finished = end.value, True
+            image = np.asarray(state.image, np.float32)
+            self._image, self._image_grid = image, grid
+            yield RegionImage(image, grid, cell, weight, sigma, state.iterations, finished)
+
+    def _open_values(self, settings: Settings) -> tuple[float, float]:
+        """PSF sigma and lambda: the user's, else those of the whole module, else typical ones."""
+        sigma, weight = settings.psf_sigma_lr_px, settings.prior_weight
+        whole = self._whole
+        if sigma is None:
+            sigma = TYPICAL_SIGMA_LR_PX if whole is None else whole.psf_sigma_lr_px
+        if weight is None:
+            weight = typical_prior_weight(settings.prior) if whole is None else whole.prior_weight
+        return sigma, weight
 
     def _window(self, region: Region, magnification: float) -> tuple[HrGrid, tuple[slice, slice]]:
         """Grid of a region with its margin, and the region within it."""
@@ -201,14 +267,15 @@ class Preview:
         cell = tuple(slice(b - a, e - a) for a, b, e in zip(low, begin, end, strict=True))
         return grid, (cell[0], cell[1])
 
-    def _cut(self, grid: HrGrid, region: Region) -> list[View]:
+    def _cut(self, grid: HrGrid, region: Region, still: bool) -> list[View]:
         """What every frame sees of the region."""
-        registration = self._registration
+        registration, whole = self._registration, self._whole
+        photometry = None if whole is None else whole.photometry
         views = []
         for i in np.flatnonzero(registration.used):
-            g, weights = observed(self._sequence, registration, int(i), self._whole.photometry)
+            g, weights = observed(self._sequence, registration, int(i), photometry)
             H = registration.homographies[i]
-            motion = motion_of(*self._whole.motion[i])
+            motion = STILL if still or whole is None else motion_of(*whole.motion[i])
             view = cut_view(registration.camera, H, self._rays, grid, g, weights, motion)
             if view is not None:
                 views.append(view)
@@ -224,8 +291,8 @@ class Preview:
         homographies = np.array([view.H for view in self._views])
         model = ObservationModel.build(self._views[0].rays, camera, homographies, grid, sigma)
         equations = NormalEquations.empty(model)
-        look = self._look(grid)
-        blurred = None if look is None else model.blur.apply(look)
+        # The mean of the frames is too blurred to tell which pixels contradict it.
+        blurred = None if self._whole is None else model.blur.apply(self._look(grid))
         for view in self._views:
             weights = view.weights
             if blurred is not None:
@@ -235,21 +302,21 @@ class Preview:
             equations.add(view.H, view.g, weights, view.motion, view.rays)
         return equations
 
-    def _look(self, grid: HrGrid) -> Image | None:
-        """What the image of the whole module shows of a grid; None at another magnification."""
-        whole = self._whole.grid
-        if whole.pixels_per_unit != grid.pixels_per_unit:
-            return None
-        left = round(whole.origin_px[0] - grid.origin_px[0])
-        top = round(whole.origin_px[1] - grid.origin_px[1])
+    def _look(self, grid: HrGrid) -> Image:
+        """What is known of the whole module, on a grid."""
+        known = self._known_grid
+        # Pixels of the known image under the first pixels of the grid, and their pitch.
+        x, y = known.to_pixels(grid.to_module(np.zeros(2)))
+        pitch = known.pixels_per_unit / grid.pixels_per_unit
         height, width = grid.shape
-        return self._whole.image[top : top + height, left : left + width].copy()
-
-
-def _solved(work: Generator[Solution, None, Solution]) -> Solution:
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            solution: Solution = end.value
-            return solution
+        if pitch == 1.0:
+            left, top = round(x), round(y)
+            return self._known[top : top + height, left : left + width].copy()
+        placed = cv2.warpAffine(
+            self._known,
+            np.array([[pitch, 0.0, x], [0.0, pitch, y]]),
+            (width, height),
+            flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        return np.asarray(placed, np.float32)

@@ -15,6 +15,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import cv2
@@ -22,22 +23,21 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.stencil import OFFSETS, Stencil
+from pv_inspect.stencil import OFFSETS, Quadratic, Stencil
 
-__all__ = ["Btv", "Prior", "PriorName", "WeightedBtv", "prior_named"]
+__all__ = ["Btv", "Curvature", "Prior", "PriorName", "WeightedBtv", "prior_named"]
 
 Image = NDArray[np.floating]
 PriorName = Literal["wbtv", "btv", "tikhonov"]
 
-# Steps (dy, dx) of the second differences, and the planes of `OFFSETS` for one and two steps.
-_STEPS = np.array([(0, 1), (1, 0), (1, 1), (1, -1)])
-_PLANES = np.array([(1, 2), (5, 10), (6, 12), (4, 8)])
-# d along a diagonal is f_xx + f_yy +- 2 f_xy: with a quarter each, the weighted sum of squares is
-# the squared Frobenius norm of the Hessian plus half of the squared Laplacian, the same for every
-# direction of an edge.
+# Second differences d go along x, y and both diagonals. On a diagonal d is f_xx + f_yy +- 2 f_xy:
+# with a quarter each, the weighted sum of squares is the squared Frobenius norm of the Hessian plus
+# half of the squared Laplacian, the same for every direction of an edge.
 _STEP_WEIGHTS = np.array([1.0, 1.0, 0.25, 0.25])
 # Side of the neighbourhood that shares its weights, HR px.
 _GROUP = 5
+# Rows that one thread works through.
+_BAND_ROWS = 32
 
 
 class Prior(Protocol):
@@ -46,7 +46,7 @@ class Prior(Protocol):
     def objective(self, image: Image) -> float:
         """R(f), summed in float64."""
 
-    def majoriser(self, image: Image, factor: float = 1.0, out: Stencil | None = None) -> Stencil:
+    def majoriser(self, image: Image, factor: float = 1.0) -> Quadratic:
         """Return L; f' L f / 2 touches ``factor * R`` at the image and lies above it elsewhere."""
 
 
@@ -64,6 +64,37 @@ def prior_named(name: PriorName, contrast: float) -> Prior:
     if name == "btv":
         return Btv(contrast)
     return Btv(contrast, exponent=2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Curvature:
+    """The operator L of ``f' L f / 2 = sum_x v(x) sum_s w_s d_s(x)^2 / 2``.
+
+    Parameters
+    ----------
+    weights : (height, width) float32 or float64
+        v; 0 at the border, where second differences d are not defined.
+
+    Notes
+    -----
+    ``L f = sum_s D_s' (w_s v D_s f)`` needs one image of weights where a stencil needs nine.
+    """
+
+    weights: Image
+
+    @cached_property
+    def diagonal(self) -> Image:
+        """The operator's diagonal, (height, width)."""
+        w0, w1, w2, w3 = _STEP_WEIGHTS
+        kernel = np.array([[w2, w1, w3], [w0, 4.0 * _STEP_WEIGHTS.sum(), w0], [w3, w1, w2]])
+        out = cv2.filter2D(self.weights, -1, kernel, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(out, self.weights.dtype)
+
+    def apply(self, image: Image) -> Image:
+        """L f of a (height, width) image."""
+        out = np.empty_like(image)
+        _curvature(image, self.weights, _STEP_WEIGHTS, out)
+        return out
 
 
 @dataclass(frozen=True)
@@ -110,32 +141,27 @@ class WeightedBtv:
         """Return d R / d f, (height, width)."""
         return self.majoriser(image).apply(image)
 
-    def majoriser(self, image: Image, factor: float = 1.0, out: Stencil | None = None) -> Stencil:
+    def majoriser(self, image: Image, factor: float = 1.0) -> Curvature:
         """Quadratic f' L f / 2 that touches ``factor * R`` at the image up to a constant.
 
         Parameters
         ----------
         image : (height, width)
         factor : float
-        out : Stencil, optional
-            Is overwritten, to save memory.
 
         Returns
         -------
-        Stencil
-            L; ``L @ image`` is the gradient.
+        Curvature
+            L; ``L.apply(image)`` is the gradient.
         """
-        height, width = image.shape
-        if out is None:
-            out = Stencil.zeros((height, width), image.dtype.type)
         u2 = self._squares(image)
-        weights = u2 ** u2.dtype.type(self.exponent / 2 - 1) if self.exponent != 1 else u2**-0.5
+        weights = u2 ** u2.dtype.type(self.exponent / 2 - 1)
         shared = _mean(weights)
+        shared *= shared.dtype.type(factor / self.contrast**2)
         # Second differences are defined one pixel off the border.
-        padded = np.zeros((height + 4, width + 4), image.dtype)
-        padded[3:-3, 3:-3] = shared[1:-1, 1:-1]
-        _couple(padded, factor / self.contrast**2 * _STEP_WEIGHTS, out.planes)
-        return out
+        shared[[0, -1]] = 0
+        shared[:, [0, -1]] = 0
+        return Curvature(shared)
 
     def _squares(self, image: Image) -> Image:
         """u^2 of the notes."""
@@ -179,11 +205,10 @@ class Btv:
         """Return d R / d f, (height, width)."""
         return self.majoriser(image).apply(image)
 
-    def majoriser(self, image: Image, factor: float = 1.0, out: Stencil | None = None) -> Stencil:
+    def majoriser(self, image: Image, factor: float = 1.0) -> Stencil:
         """Quadratic f' L f / 2 that touches ``factor * R``; see `WeightedBtv.majoriser`."""
         height, width = image.shape
-        if out is None:
-            out = Stencil.zeros((height, width), image.dtype.type)
+        out = Stencil.zeros((height, width), image.dtype.type)
         _edges(image, factor / self.contrast**2 * self._weights, *self._numbers, out.planes)
         _degrees(out.planes)
         return out
@@ -225,25 +250,37 @@ def _energy(f, weights, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
-def _couple(padded, weights, planes):  # type: ignore[no-untyped-def]
-    """Planes of sum_x v(x) sum_s w_s d_s^2 / 2; v lies two pixels into ``padded``."""
-    height, width = planes.shape[1:]
-    kind = planes.dtype.type
-    four, two = kind(4), kind(2)
-    for y in numba.prange(height):
-        planes[:, y] = kind(0)
-        centre = padded[y + 2]
-        diagonal = planes[0, y]
-        for s in range(4):
-            dy, dx = _STEPS[s]
-            w = kind(weights[s])
-            before, after = padded[y + 2 - dy], padded[y + 2 + dy]
-            one, both = planes[_PLANES[s, 0], y], planes[_PLANES[s, 1], y]
+def _curvature(f, v, weights, out):  # type: ignore[no-untyped-def]
+    """Bands of rows; three rows of weighted second differences, one pixel wider, go along."""
+    height, width = f.shape
+    kind = f.dtype.type
+    two = kind(2)
+    w0, w1, w2, w3 = kind(weights[0]), kind(weights[1]), kind(weights[2]), kind(weights[3])
+    for band in numba.prange((height + _BAND_ROWS - 1) // _BAND_ROWS):
+        first, last = band * _BAND_ROWS, min(height, (band + 1) * _BAND_ROWS)
+        differences = np.zeros((3, 4, width + 2), f.dtype)
+        for y in range(first - 1, last + 1):
+            d = differences[y % 3]
+            if 0 < y < height - 1:
+                a, b, c, weight = f[y - 1], f[y], f[y + 1], v[y]
+                d0, d1, d2, d3 = d[0], d[1], d[2], d[3]
+                for x in range(1, width - 1):
+                    middle = two * b[x]
+                    d0[x + 1] = w0 * weight[x] * (b[x - 1] - middle + b[x + 1])
+                    d1[x + 1] = w1 * weight[x] * (a[x] - middle + c[x])
+                    d2[x + 1] = w2 * weight[x] * (a[x - 1] - middle + c[x + 1])
+                    d3[x + 1] = w3 * weight[x] * (a[x + 1] - middle + c[x - 1])
+            else:
+                d[:] = kind(0)
+            if y <= first:
+                continue
+            a, b, c, row = differences[(y - 2) % 3], differences[(y - 1) % 3], d, out[y - 1]
+            b0, b1, b2, b3 = b[0], b[1], b[2], b[3]
+            a1, a2, a3, c1, c2, c3 = a[1], a[2], a[3], c[1], c[2], c[3]
             for x in range(width):
-                here, there = centre[x + 2], after[x + 2 + dx]
-                diagonal[x] += w * (four * here + there + before[x + 2 - dx])
-                one[x] = -two * w * (here + there)
-                both[x] = w * there
+                s = b0[x + 1] + b1[x + 1] + b2[x + 1] + b3[x + 1]
+                sides = b0[x] + b0[x + 2] + a1[x + 1] + c1[x + 1]
+                row[x] = sides + a2[x] + c2[x + 2] + a3[x + 2] + c3[x] - two * s
 
 
 @numba.njit(cache=True, parallel=True)

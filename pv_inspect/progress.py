@@ -1,4 +1,4 @@
-"""Progress of a run on the terminal: a bar where there is one, plain lines where there is none."""
+"""Progress of a run: a bar in a terminal or a notebook, plain lines where there is neither."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
+from pv_inspect.notebook import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.settings import Stage
 
@@ -20,7 +21,7 @@ T = TypeVar("T")
 
 
 def follow(steps: Generator[Step, None, Inspection], quiet: bool = False) -> Inspection:
-    """Drive `pipeline.inspect` to its end and show on stderr how far it is.
+    """Drive `pipeline.inspect` to its end and show in the notebook or on stderr how far it is.
 
     Parameters
     ----------
@@ -80,6 +81,8 @@ def _drive(events: Generator[_Event, None, T], quiet: bool) -> T:
     try:
         if quiet:
             return _last(events)
+        if in_notebook():
+            return _with_notebook_bar(events)
         if console.is_terminal:
             return _with_bar(events, console)
         return _with_lines(events, console)
@@ -115,6 +118,18 @@ def _with_bar(events: Generator[_Event, None, T], console: Console) -> T:
                 result: T = end.value
                 return result
             bar.update(task, completed=fraction, description=message, stage=stage)
+
+
+def _with_notebook_bar(events: Generator[_Event, None, T]) -> T:
+    bar, message = NotebookBar(), ""
+    while True:
+        try:
+            _, fraction, message, _ = next(events)
+        except StopIteration as end:
+            bar.end(message)
+            result: T = end.value
+            return result
+        bar.update(fraction, message)
 
 
 def _with_lines(events: Generator[_Event, None, T], console: Console) -> T:

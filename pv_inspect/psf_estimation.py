@@ -8,20 +8,19 @@ forbids, too narrow a one for more contrast between neighbours than the prior be
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.layout import HrGrid
-from pv_inspect.motion import STILL, detail_left
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.motion import detail_left
+from pv_inspect.observation import NormalEquations
+from pv_inspect.prediction import Judge, View, equations_of, model_of, split
 from pv_inspect.solver import Problem, first_guess, minimise
 
-__all__ = ["View", "estimate_psf_sigma", "window_of"]
+__all__ = ["estimate_psf_sigma", "window_of"]
 
-Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 # Mean and spread of the optical sigma of lenses that are in focus, LR px.
@@ -32,31 +31,8 @@ _FIRST_SIGMA, _STEP, _RANGE = 0.49, 0.06, (0.13, 1.5)
 _FIRST_WEIGHT, _LEAST_WEIGHT, _LARGEST_WEIGHT = 0.015, 1e-4, 1.0
 _HELD_OUT = 0.1
 _ITERATIONS = 25
-# Residuals beyond this many sigma are outliers and count as this many.
-_OUTLIER = 5.0
 _SIDE_LR_PX = 64.0
 _SEED = 20
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """The part of one frame that sees a window of the module.
-
-    Parameters
-    ----------
-    H : (3, 3) float64
-    rays : SensorRays
-    g, weights : (height, width) float32
-        Intensities on the module's scale and 1 / variance.
-    motion : (2,) float64
-        See `pv_inspect.motion.motion_of`.
-    """
-
-    H: Array
-    rays: SensorRays
-    g: Image
-    weights: Image
-    motion: Array = field(default_factory=lambda: STILL)
 
 
 def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> HrGrid:
@@ -87,41 +63,6 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
     k = int(np.argmax(total))
     y, x = int(ys.ravel()[k]), int(xs.ravel()[k])
     return grid.window(slice(y, y + side), slice(x, x + side))
-
-
-def cut_view(
-    camera: Camera,
-    H: Array,
-    rays: SensorRays,
-    window: HrGrid,
-    g: Image,
-    weights: Image,
-    motion: Array = STILL,
-) -> View | None:
-    """Cut what a frame sees of a window; None if it sees nothing of it."""
-    h, w = window.shape
-    t = np.linspace(0.0, 1.0, 9)
-    rim = np.concatenate(
-        [
-            np.column_stack([a, b])
-            for a, b in ((t, 0 * t), (t, 0 * t + 1), (0 * t, t), (0 * t + 1, t))
-        ]
-    )
-    px = camera.project(H, window.to_module(rim * [w - 1, h - 1]))
-    if not np.isfinite(px).all():
-        return None
-    low = np.maximum(np.floor(px.min(0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(px.max(0)).astype(int) + 2, [g.shape[1], g.shape[0]])
-    if (high - low < 4).any():
-        return None
-    part = (slice(low[1], high[1]), slice(low[0], high[0]))
-    return View(
-        H,
-        rays.cut(part),
-        np.ascontiguousarray(g[part]),
-        np.ascontiguousarray(weights[part]),
-        motion,
-    )
 
 
 def estimate_psf_sigma(
@@ -155,19 +96,18 @@ def estimate_psf_sigma(
     -2 log likelihood, to which ((sigma - 0.45) / 0.12)^2 is added. Motion of less than about a
     pixel is no motion to the model; the sigma that is found contains it.
     """
-    rng = np.random.default_rng(_SEED)
-    train, test = [], []
-    for view in views:
-        held_out = rng.random(view.g.shape) < _HELD_OUT
-        train.append(np.where(held_out, np.float32(0), view.weights))
-        test.append(np.where(held_out, view.weights, np.float32(0)))
+    train, test = split(views, _HELD_OUT, _SEED)
     n_judged = max(sum(int((weights > 0).sum()) for weights in test), 1)
     scores: dict[tuple[float, float], float] = {}
+    parts: dict[float, tuple[NormalEquations, Judge]] = {}
 
     def judge(sigma: float, weight: float) -> float:
         key = (sigma, weight)
         if key not in scores:
-            residual = _held_out_residual(camera, window, views, train, test, sigma, weight)
+            if sigma not in parts:
+                model = model_of(camera, window, views, sigma)
+                parts[sigma] = equations_of(model, views, train), Judge.of(model, views, test)
+            residual = _held_out_residual(*parts[sigma], weight)
             scores[key] = residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
         return scores[key]
 
@@ -195,38 +135,14 @@ def estimate_psf_sigma(
     return _vertex({s: score for (s, w), score in scores.items() if w == weight})
 
 
-def _held_out_residual(
-    camera: Camera,
-    window: HrGrid,
-    views: list[View],
-    train: list[Image],
-    test: list[Image],
-    sigma: float,
-    prior_weight: float,
-) -> float:
+def _held_out_residual(equations: NormalEquations, judge: Judge, prior_weight: float) -> float:
     """Mean squared prediction error of the held-out pixels in units of the noise."""
-    homographies = np.array([view.H for view in views])
-    models = [
-        ObservationModel.build(view.rays, camera, homographies, window, sigma) for view in views
-    ]
-    equations = NormalEquations.empty(models[0])
-    for view, weights in zip(views, train, strict=True):
-        equations.add(view.H, view.g, weights, view.motion, view.rays)
-    guess = first_guess(equations)
+    guess = image = first_guess(equations)
     # A prior that sharpens edges by itself is content with too wide a PSF.
     problem = Problem(equations, prior_weight, float(np.median(guess)), "tikhonov")
-    solver = minimise(problem, guess, _ITERATIONS, tolerance=0.0)
-    for state in solver:
+    for state in minimise(problem, guess, _ITERATIONS, tolerance=0.0):
         image = state.image
-    blurred = models[0].blur.apply(image)
-    total, n = 0.0, 0
-    for view, model, weights in zip(views, models, test, strict=True):
-        sampled = model.frame(view.H, view.motion).sample(blurred)
-        use = (weights > 0) & (sampled != 0)
-        z2 = weights[use] * (view.g[use] - sampled[use]) ** 2
-        total += float(np.minimum(z2, _OUTLIER**2).sum())
-        n += int(use.sum())
-    return total / max(n, 1)
+    return judge.residual(image) / max(judge.n_pixels, 1)
 
 
 def _vertex(scores: dict[float, float]) -> float:

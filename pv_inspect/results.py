@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -24,6 +24,7 @@ from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
 from pv_inspect.report import render_report
 from pv_inspect.settings import Settings
@@ -45,6 +46,7 @@ RESULT_FILES = (
     "cracks.tif",
     "cells.csv",
     "report.html",
+    "geometry.json",
 )
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
@@ -68,7 +70,12 @@ class FrameResult:
     gain, offset : float
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
-        Residual in units of the noise.
+        Residual against the mean of the frames, in units of the noise.
+    residual : float
+        Residual against the module image, in units of the noise.
+    edits : dict
+        (row, col) of the crossing points that a person has set, and where, (x, y) LR px; None for
+        those that were removed.
     """
 
     file: str
@@ -79,6 +86,8 @@ class FrameResult:
     gain: float
     offset: float
     rms: float
+    residual: float = float("nan")
+    edits: dict[tuple[int, int], tuple[float, float] | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +114,10 @@ class Result:
     seconds : dict of str to float
     warnings : tuple of str
     versions : dict of str to str
+    prior_weight, psf_sigma_lr_px : float
+        lambda and optical blur that were used.
+    record : dict
+        All of ``result.json``.
     """
 
     folder: Path
@@ -123,6 +136,18 @@ class Result:
     seconds: dict[str, float]
     warnings: tuple[str, ...]
     versions: dict[str, str]
+    prior_weight: float = float("nan")
+    psf_sigma_lr_px: float = float("nan")
+    record: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def __repr__(self) -> str:
+        layout = self.grid.layout
+        return f"<Result in {str(self.folder)!r}: {layout.rows} x {layout.cols} cells>"
+
+    def _repr_html_(self) -> str:
+        from pv_inspect.display import result_html
+
+        return result_html(self)
 
 
 def tile_name(row: int, col: int) -> str:
@@ -152,7 +177,7 @@ def write_result(inspection: Inspection, out: Path) -> None:
         raise InspectionError(
             "This inspection is not complete, so that no result can be written: run it to its end."
         )
-    replace_folder(out, _files(inspection), RESULT_JSON, _is_ours)
+    replace_folder(out, _files(inspection, out), RESULT_JSON, _is_ours)
 
 
 def read_result(folder: Path) -> Result:
@@ -193,6 +218,7 @@ def read_result(folder: Path) -> Result:
         extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
         made_with = dict(record["versions"])
+        weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
     image = _read_image(folder / "module_hr.tif")
     support = _read_image(folder / "support.tif", image.shape)
     consistency = _read_image(folder / "consistency.tif", image.shape)
@@ -217,6 +243,9 @@ def read_result(folder: Path) -> Result:
         seconds,
         warnings,
         made_with,
+        weight,
+        sigma,
+        record,
     )
 
 
@@ -259,6 +288,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
                 "rms": registration.rms[i] if used else None,
                 "residual": reconstruction.residual_rms[i],
                 "motion_px_deg": reconstruction.motion[i] if used else None,
+                "edits": _edits(inspection, i),
             }
         )
     seconds = dict(inspection.seconds)
@@ -300,8 +330,23 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     return plain
 
 
-def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
-    """Name and content of every file of a result, ``result.json`` last."""
+def _edits(inspection: Inspection, i: int) -> list[dict[str, Any]]:
+    """Crossing points of frame i that a person has set, or removed: then ``px`` is None."""
+    if inspection.crossings is None:
+        return []
+    frame, cols = inspection.crossings.frames[i], inspection.layout.cols + 1
+    return [
+        {
+            "row": int(k) // cols,
+            "col": int(k) % cols,
+            "px": frame.points_px[k] if frame.measured[k] else None,
+        }
+        for k in np.flatnonzero(frame.by_hand)
+    ]
+
+
+def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
+    """Name and content of every file of the result in ``out``, ``result.json`` last."""
     reconstruction, cracks, tiles = inspection.reconstruction, inspection.cracks, inspection.tiles
     assert reconstruction is not None
     assert cracks is not None
@@ -317,8 +362,13 @@ def _files(inspection: Inspection) -> Iterator[tuple[str, bytes]]:
         yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.images[row, col], grid, what)
     yield "cells.csv", _csv(cracks.cells).encode()
     yield "report.html", render_report(inspection).encode()
-    text = json.dumps(result_record(inspection), indent=1, allow_nan=False)
-    yield RESULT_JSON, text.encode()
+    yield GEOMETRY_JSON, _json(geometry_record(inspection))
+    record = {"source": source_record(inspection.sequence, out), **result_record(inspection)}
+    yield RESULT_JSON, _json(record)
+
+
+def _json(record: dict[str, Any]) -> bytes:
+    return json.dumps(_plain(record), indent=1, allow_nan=False).encode()
 
 
 def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:
@@ -330,6 +380,8 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
         np.ascontiguousarray(image, np.float32),
         photometric="minisblack",
         compression="zlib" if pack else None,
+        # Noise hardly shrinks: higher levels take longer for one percent.
+        compressionargs={"level": 1} if pack else None,
         resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
         resolutionunit="NONE",
         description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
@@ -381,6 +433,11 @@ def _frame_from(entry: dict[str, Any]) -> FrameResult:
         number("gain"),
         number("offset"),
         number("rms"),
+        number("residual"),
+        {
+            (int(edit["row"]), int(edit["col"])): edit["px"] and (edit["px"][0], edit["px"][1])
+            for edit in entry.get("edits", ())
+        },
     )
 
 

@@ -111,6 +111,8 @@ class Sequence:
         Variance over intensity, full-scale units.
     defects : (height, width) bool
         Hot and dead pixels of the sensor.
+    opened_from : Path or tuple of Path
+        What :meth:`open` was given, absolute: it opens the same frames again.
     """
 
     names: tuple[str, ...]
@@ -128,6 +130,7 @@ class Sequence:
     _cache: _FrameCache = field(repr=False)
     # (height, width) relative response out of a flat frame, 0 where there is none.
     _flat: NDArray[np.float32] | None = field(default=None, repr=False)
+    opened_from: Path | tuple[Path, ...] = ()
 
     @classmethod
     def open(
@@ -221,6 +224,9 @@ class Sequence:
             black,
             _FrameCache(capacity),
             flat,
+            root.absolute()
+            if isinstance(source, (str, Path))
+            else tuple(path.absolute() for path in paths),
         )
 
     def __len__(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Collection
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -252,10 +253,11 @@ class Settings(BaseModel):
         except InspectionError as error:
             raise InspectionError(f"{path}: {error}") from None
 
-    def to_toml(self) -> str:
-        """Return the settings as TOML; values that are not given are left out."""
+    def to_toml(self, fields: Collection[str] | None = None) -> str:
+        """Return the settings, or some of them, as TOML; values that are not given are left out."""
         lines = []
-        for name, value in self.model_dump(mode="json", exclude_none=True).items():
+        include = None if fields is None else set(fields)
+        for name, value in self.model_dump(mode="json", include=include, exclude_none=True).items():
             # JSON strings and lists of them are TOML as well.
             text = json.dumps(value) if isinstance(value, str | list | bool) else repr(value)
             lines.append(f"{name} = {text}")

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 
 from pv_inspect.observation import NormalEquations
 from pv_inspect.prior import Prior, PriorName, prior_named
-from pv_inspect.stencil import Stencil, dot
+from pv_inspect.stencil import Quadratic, dot
 
 __all__ = ["Problem", "Solution", "first_guess", "minimise"]
 
@@ -72,7 +72,7 @@ class Solution:
     Parameters
     ----------
     image : (height, width) float32
-    prior : Stencil
+    prior : Quadratic
         The last quadratic majoriser of the prior, on the scale of the equations.
     objective : tuple of float
         E after every majoriser.
@@ -82,7 +82,7 @@ class Solution:
     """
 
     image: Image
-    prior: Stencil
+    prior: Quadratic
     objective: tuple[float, ...]
     iterations: int
     converged: bool
@@ -137,12 +137,13 @@ def minimise(
     diagonal = equations.diagonal
     floor = 1e-6 * float(diagonal.max()) + np.finfo(np.float32).tiny
     m = max(equations.n_pixels, 1)
-    laplacian = Stencil.zeros((f.shape[0], f.shape[1]), f.dtype.type)
     objective: list[float] = []
     iterations, rounds, converged = 0, 0, False
     r, p = np.empty_like(f), np.empty_like(f)
+    laplacian = prior.majoriser(f, problem.prior_factor / 2.0)
     while not converged and iterations < max_iterations:
-        prior.majoriser(f, problem.prior_factor / 2.0, laplacian)
+        if rounds:
+            laplacian = prior.majoriser(f, problem.prior_factor / 2.0)
         before = f.copy()
         scale = 1.0 / (diagonal + laplacian.diagonal + floor)
         np.subtract(residual, laplacian.apply(f), out=r)

@@ -66,7 +66,7 @@ setup_python() {
     pip="$VENV/bin/python -m pip --disable-pip-version-check"
     # The build tools are pinned as well, so the project is built without an environment of its own.
     $pip install --quiet --constraint constraints.txt hatchling editables
-    $pip install --quiet --constraint constraints.txt --no-build-isolation --editable ".[gui,dev]"
+    $pip install --quiet --constraint constraints.txt --no-build-isolation --editable ".[gui,notebook,dev]"
 }
 
 # What Qt and OpenGL load at run time: "library Debian-package". PySide6 brings the rest.

@@ -11,11 +11,11 @@ trap 'rm -rf "$folder"' EXIT
 "$python" -m venv "$folder/venv"
 "$folder/venv/bin/python" -m pip install --quiet --upgrade pip
 "$folder/venv/bin/python" -m pip install --quiet hatchling editables
-"$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,dev]"
+"$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,notebook,dev]"
 {
-    echo "# Exact versions of everything that 'make demo' and 'make test' install: the extras gui and"
-    echo "# dev, and the build tools. For Python 3.11 to 3.13. Written by scripts/constraints.sh; do not"
-    echo "# edit by hand."
+    echo "# Exact versions of everything that 'make demo' and 'make test' install: the extras gui,"
+    echo "# notebook and dev, and the build tools. For Python 3.11 to 3.13. Written by"
+    echo "# scripts/constraints.sh; do not edit by hand."
     "$folder/venv/bin/python" -m pip freeze --exclude-editable --exclude pip --exclude setuptools
 } >"$folder/constraints.txt"
 cp "$folder/constraints.txt" constraints.txt

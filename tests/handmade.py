@@ -31,6 +31,7 @@ class FakeSequence:
     names: tuple[str, ...] = ("frame_0.tif", "frame_1 & <i>.tif", "frame_2.tif")
     shape: tuple[int, int] = (60, 80)
     source: Path = Path("somewhere/module <7>")
+    opened_from: Path = Path("somewhere/module <7>")
     layout_hint: dict[str, float] = field(default_factory=lambda: {"rows": 2, "cols": 3})
 
     def __len__(self) -> int:

@@ -123,7 +123,6 @@ def test_the_normal_operator_of_moving_frames_is_symmetric_and_its_diagonal_near
         ratios.append(diagonal[y, x] / equations.apply(unit)[y, x])
     assert min(ratios) > 0.5
     assert max(ratios) < 3.0
-    assert equations.density[90:130, 120:200].min() > 0
 
 
 def test_the_same_sums_come_out_twice() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
-from pv_inspect.preview import Preview, Region
+from pv_inspect.preview import Preview, Region, bent
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration
 from tests.recording import LAYOUT, drain, recording, settings_with
@@ -112,6 +112,75 @@ def test_a_cell_that_no_frame_shows_is_one_clear_sentence(
     view = Preview(sequence, replace(registration, homographies=away), whole)
     with pytest.raises(InspectionError, match="No frame that is used shows the cell in row 1"):
         view.show(Region(1, 0), SETTINGS)
+
+
+def test_work_that_is_given_up_half_way_does_no_harm(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    sequence, registration, whole = made
+    view = Preview(sequence, registration, whole)
+    convex = SETTINGS.changed(prior="tikhonov", prior_weight=0.05)
+    first = view.show(Region(1, 1), convex)
+    other = view.refine(Region(1, 1), convex.changed(prior_weight=5.0))
+    assert not next(other).finished
+    other.close()
+    again = view.show(Region(1, 1), convex)
+    assert float(np.sqrt(np.mean((again.image - first.image) ** 2))) < 0.003
+
+
+def test_at_another_magnification_it_starts_near_its_end(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    sequence, registration, whole = made
+    steps = Preview(sequence, registration, whole).refine(
+        Region(1, 1), SETTINGS.changed(magnification=2.0)
+    )
+    first = next(steps).image.copy()
+    *_, last = steps
+    assert last.finished
+    y, x = last.cell
+    error = (first - last.image)[y, x]
+    assert float(np.sqrt(np.mean(error**2))) < 0.25 * float(last.image[y, x].std())
+
+
+def test_without_a_whole_reconstruction_it_takes_typical_values(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    sequence, registration, whole = made
+    expected = cell_of(whole, 1, 1)
+    shown = Preview(sequence, registration).show(Region(1, 1), SETTINGS)
+    assert np.corrcoef(shown.image[shown.cell].ravel(), expected.ravel())[0, 1] > 0.95
+
+
+def test_motion_that_is_not_wanted_is_left_out(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    sequence, registration, whole = made
+    moving = replace(whole, motion=((3.0, 0.0),) * len(sequence))
+    still = Preview(sequence, registration, whole).show(Region(1, 1), SETTINGS)
+    view = Preview(sequence, registration, moving)
+    left_out = view.show(Region(1, 1), SETTINGS.changed(motion_blur="none"))
+    np.testing.assert_allclose(left_out.image, still.image, atol=1e-6)
+    undone = view.show(Region(1, 1), SETTINGS.changed(motion_blur="auto"))
+    assert np.abs(undone.image - still.image).max() > 0.01
+
+
+def test_a_bent_registration_keeps_the_crossing_points_as_far_as_a_homography_can(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    _, registration, _ = made
+    same = bent(registration, registration.camera.kappa)
+    np.testing.assert_allclose(same.crossings_px(0), registration.crossings_px(0), atol=1e-3)
+    other = bent(registration, registration.camera.kappa + 0.05)
+    assert other.camera.kappa == pytest.approx(registration.camera.kappa + 0.05)
+    assert np.abs(other.crossings_px(0) - registration.crossings_px(0)).max() < 1.0
+
+
+def test_a_kappa_that_can_not_show_the_module_is_one_clear_sentence(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    with pytest.raises(InspectionError, match="choose a kappa nearer to the fitted one"):
+        bent(made[1], -500.0)
 
 
 def test_a_window_of_a_grid_keeps_the_places_of_its_pixels() -> None:

@@ -88,10 +88,23 @@ def test_tikhonov_is_quadratic_and_the_others_are_not() -> None:
 def test_float32_majoriser_is_that_of_float64() -> None:
     f = image()
     for prior in PRIORS:
-        double = prior.majoriser(f).planes
-        single = prior.majoriser(f.astype(np.float32)).planes
+        double = prior.majoriser(f).diagonal
+        single = prior.majoriser(f.astype(np.float32)).diagonal
         assert single.dtype == np.float32
         np.testing.assert_allclose(single, double, atol=1e-5 * np.abs(double).max())
+
+
+@pytest.mark.parametrize("prior", PRIORS)
+def test_majoriser_is_a_symmetric_matrix_with_the_diagonal_that_it_says(
+    prior: WeightedBtv | Btv,
+) -> None:
+    f = image(shape=(37, 8))
+    L = prior.majoriser(f)
+    units = np.eye(f.size).reshape(-1, *f.shape)
+    matrix = np.array([L.apply(unit).ravel() for unit in units])
+    scale = np.abs(matrix).max()
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-12 * scale)
+    np.testing.assert_allclose(np.diag(matrix), L.diagonal.ravel(), atol=1e-12 * scale)
 
 
 def test_stencil_is_the_symmetric_matrix_that_its_planes_say() -> None:

@@ -12,7 +12,8 @@ import pytest
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf_estimation import View, estimate_psf_sigma
+from pv_inspect.prediction import View
+from pv_inspect.psf_estimation import estimate_psf_sigma
 from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import NoiseModel

@@ -133,7 +133,7 @@ def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
     text = " ".join(Reader(html).text.split())
     assert 'In 1 cell the frames do not earn an answer: the class is "unsure".' in text
     assert "unsure (none) ✱" in text
-    assert "80% of the cell without support" in titles(html)[0]
+    assert "80% of the cell is unsupported" in titles(html)[0]
     assert "Not earned by the frames: at least half" in text
 
 

@@ -32,7 +32,8 @@ def test_the_folder_holds_what_the_contract_says(tmp_path: Path) -> None:
     names = {str(p.relative_to(tmp_path / "out")) for p in (tmp_path / "out").rglob("*")}
     tiles = {f"cells/{tile_name(i, j)}" for i in range(2) for j in range(3)}
     images = {"module_hr.tif", "support.tif", "consistency.tif", "cracks.tif"}
-    assert names == images | tiles | {"result.json", "cells.csv", "cells", "report.html"}
+    records = {"result.json", "geometry.json"}
+    assert names == images | tiles | records | {"cells.csv", "cells", "report.html"}
     assert tile_name(0, 9) == "r01_c10.tif"
     record = strict(tmp_path / "out" / "result.json")
     assert record["pixels_per_cell"] == [80.0, 80.0]

@@ -16,12 +16,15 @@ __all__ = [
     "CONSISTENCY_LIMITS",
     "CRACKS",
     "CRACK_RGB",
+    "EDITED_COLOUR",
     "FRAMES",
     "GRID",
     "GRID_COLOUR",
     "MEASURED_COLOUR",
     "MODULE",
     "POINTS",
+    "POINT_SIZES",
+    "POINT_SYMBOLS",
     "PREDICTED_COLOUR",
     "SUPPORT",
     "contrast_limits",
@@ -41,6 +44,11 @@ CRACKS = "Cracks"
 GRID_COLOUR = "#56B4E9"
 MEASURED_COLOUR = "#F0E442"
 PREDICTED_COLOUR = "#D55E00"
+EDITED_COLOUR = "#CC79A7"
+POINT_SYMBOLS = ("disc", "x", "diamond")
+"""Of measured, predicted and edited crossing points: not by their colours alone."""
+POINT_SIZES = (6.0, 7.0, 9.0)
+"""LR px."""
 CRACK_RGB = (1.0, 0.55, 0.0)
 
 

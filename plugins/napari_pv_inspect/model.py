@@ -5,7 +5,7 @@ Views listen to the signals; only controllers change the state, and only in the 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -19,7 +19,7 @@ from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 
-__all__ = ["RunState", "WorkbenchModel"]
+__all__ = ["Failure", "RunState", "WorkbenchModel"]
 
 
 class RunState(Enum):
@@ -28,6 +28,14 @@ class RunState(Enum):
     IDLE = "idle"
     RUNNING = "running"
     STOPPING = "stopping"
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why the last run came to no end, and in which stage."""
+
+    stage: Stage
+    why: str
 
 
 class WorkbenchModel:
@@ -42,10 +50,18 @@ class WorkbenchModel:
         A result folder that is looked at; nothing of it is computed again.
     run_settings : Settings
         What the current run was started with.
+    run_until : Stage or None
+        Where the current run stops; None: it does all stages.
+    running_stage : Stage or None
+        What the current run is working on.
+    failure : Failure or None
+        Of the last run; the next one, or another sequence, makes it forgotten.
     inspection : Inspection or None
         What is shown and saved. A cancelled run leaves a complete one as it was.
     guess : LayoutGuess or None
         What was guessed from the frames because the sequence came without rows and columns.
+    guessing : bool
+        Whether rows and columns are being guessed just now.
     draft : Inspection or None
         What the current or the last, cancelled run has found so far; a later run resumes from it.
     selected_cell : (row, col) or None
@@ -68,8 +84,12 @@ class WorkbenchModel:
         self.inspection: Inspection | None = None
         self.draft: Inspection | None = None
         self.guess: LayoutGuess | None = None
+        self.guessing = False
         self.result: Result | None = None
         self.run_state = RunState.IDLE
+        self.run_until: Stage | None = None
+        self.running_stage: Stage | None = None
+        self.failure: Failure | None = None
         self.selected_cell: tuple[int, int] | None = None
 
     @property
@@ -89,15 +109,38 @@ class WorkbenchModel:
         hint = {
             k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
         }
-        unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa"))
+        unknown = dict.fromkeys(("rows", "cols", "cell_aspect", "kappa", "module_at"))
+        frames = {"keep_frames": (), "skip_frames": ()}
+        self._put(sequence, self.settings.changed(**{**unknown, **frames, **hint}))
+
+    def reopen(self, sequence: Sequence) -> None:
+        """Put the same frames on the bench, read in another way; the settings stay."""
+        guess = self.guess
+        self._put(sequence, self.settings)
+        self.guess = guess
+        self.settings_changed.emit(self.settings)
+
+    def restore(self, inspection: Inspection, result: Result) -> None:
+        """Put an inspection out of a result folder on the bench, with its settings."""
+        layout = inspection.layout
+        # What was guessed then is known now.
+        known = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
+        settings = inspection.settings.changed(**known)
+        self._put(inspection.sequence, settings)
+        self.result = result
+        self.inspection = replace(inspection, settings=settings)
+        self.inspection_changed.emit(self.inspection)
+
+    def _put(self, sequence: Sequence | None, settings: Settings) -> None:
         self.sequence = sequence
         self.guess = None
         self.inspection = self.draft = self.result = None
+        self.failure = self.run_until = self.running_stage = None
         self._enter(RunState.IDLE)
-        self.settings = self.settings.changed(**{**unknown, **hint})
+        self.settings = settings
         self.select_cell(None)
         self.sequence_changed.emit(sequence)
-        self.settings_changed.emit(self.settings)
+        self.settings_changed.emit(settings)
         self.inspection_changed.emit(None)
 
     def offer_layout(self, sequence: Sequence, guess: LayoutGuess | None) -> None:
@@ -110,7 +153,10 @@ class WorkbenchModel:
         guess : LayoutGuess or None
             None: the frames do not tell.
         """
-        known = self.settings.rows is not None or self.settings.cols is not None
+        if sequence is self.sequence:
+            self.guessing = False
+        given = self.settings.rows is not None or self.settings.cols is not None
+        known = given and not self.layout_is_guessed
         if sequence is not self.sequence or known or self.run_state is not RunState.IDLE:
             return
         if guess is None:
@@ -133,6 +179,12 @@ class WorkbenchModel:
             layout.cell_aspect,
         )
 
+    def confirm_layout(self) -> None:
+        """Say that the guessed rows and columns are right."""
+        if self.guess is not None:
+            self.guess = None
+            self.settings_changed.emit(self.settings)
+
     def select_cell(self, cell: tuple[int, int] | None) -> None:
         """Show another cell in all views."""
         if cell != self.selected_cell:
@@ -140,10 +192,10 @@ class WorkbenchModel:
             self.cell_selected.emit(cell)
 
     def open_result(self, result: Result) -> None:
-        """Put a result folder on the bench; an inspection that has cells of its own stays."""
-        if self.shown is None or self.shown.tiles is None:
-            self.result = result
-            self.result_opened.emit(result)
+        """Look at a result folder whose frames are not there; its settings go into the controls."""
+        self._put(None, result.settings)
+        self.result = result
+        self.result_opened.emit(result)
 
     def change_settings(self, **values: Any) -> None:
         """Change some settings; a value out of its range becomes a notice and changes nothing."""
@@ -156,12 +208,23 @@ class WorkbenchModel:
             self.settings = settings
             self.settings_changed.emit(settings)
 
+    def revise(self, inspection: Inspection) -> None:
+        """Show what a person made of the inspection; the next run resumes from it."""
+        if self.run_state is RunState.IDLE:
+            self.inspection, self.draft = inspection, None
+            self.inspection_changed.emit(inspection)
+
     def notice(self, text: str, is_error: bool = False) -> None:
         """Tell the user one sentence."""
         self.noticed.emit(text, is_error)
 
-    def begin_run(self) -> Inspection | None:
+    def begin_run(self, until: Stage | None = None) -> Inspection | None:
         """Enter the running state.
+
+        Parameters
+        ----------
+        until : Stage, optional
+            Where the run is going to stop.
 
         Returns
         -------
@@ -181,11 +244,18 @@ class WorkbenchModel:
         layout = self.sequence.layout(self.settings)
         self.draft = start or Inspection(self.sequence, self.settings, layout)
         self.run_settings = self.settings
+        self.run_until, self.running_stage, self.failure = until, None, None
         self._enter(RunState.RUNNING)
         return start
 
+    @property
+    def run_is_outdated(self) -> bool:
+        """Whether the settings were changed since the current run was started."""
+        return self.run_state is not RunState.IDLE and self.settings != self.run_settings
+
     def absorb(self, step: Step) -> None:
         """Take in what one step of the pipeline brought."""
+        self.running_stage = step.stage
         self.progress_changed.emit(step.fraction, step.message)
         if step.partial is None or self.draft is None:
             return
@@ -201,7 +271,7 @@ class WorkbenchModel:
         """Say that the run was asked to stop."""
         self._enter(RunState.STOPPING)
 
-    def end_run(self, result: Inspection | None, keep_draft: bool) -> None:
+    def end_run(self, result: Inspection | None, keep_draft: bool, why: str = "") -> None:
         """Leave the running state.
 
         Parameters
@@ -210,7 +280,14 @@ class WorkbenchModel:
             What the run returned; None if it was cancelled, stopped early or failed.
         keep_draft : bool
             Show what the run found so far in place of the earlier inspection.
+        why : str
+            Why it failed; "" if it did not.
         """
+        if why and self.draft is not None:
+            # The stage that follows the last one that brought its part.
+            missing = self.draft.stale(self.run_settings)
+            self.failure = Failure(min(missing, key=_position, default=Stage.CRACKS), why)
+        self.run_until = self.running_stage = None
         if result is not None:
             self.inspection, self.draft = result, None
         elif keep_draft or self.inspection is None or not self.inspection.complete:
@@ -222,6 +299,10 @@ class WorkbenchModel:
     def _enter(self, state: RunState) -> None:
         self.run_state = state
         self.run_changed.emit(state)
+
+
+def _position(stage: Stage) -> int:
+    return stage.index
 
 
 def best_start(settings: Settings, *candidates: Inspection | None) -> Inspection | None:

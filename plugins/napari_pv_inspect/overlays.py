@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,20 @@ from numpy.typing import NDArray
 
 from napari_pv_inspect.coordinates import in_frame, segments_in_frame
 from pv_inspect.camera import Camera
+from pv_inspect.crossings import Crossings
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection
 
-__all__ = ["CrossingMarks", "crossing_marks", "frame_grid", "frame_poses", "grid_of_frames"]
+__all__ = [
+    "EDITED",
+    "MEASURED",
+    "PREDICTED",
+    "CrossingMarks",
+    "crossing_marks",
+    "frame_grid",
+    "frame_poses",
+    "grid_of_frames",
+]
 
 Array = NDArray[np.float64]
 
@@ -28,27 +39,53 @@ class CrossingMarks:
     ----------
     points : (n, 3) float64
         (frame, row, col).
-    measured : (n,) bool
-        False: predicted from its neighbours or from the fit.
+    frame, crossing : (n,) int
+        Which frame, and which crossing of the module, row-major.
+    kind : (n,) int
+        MEASURED, PREDICTED from its neighbours or from the fit, or EDITED by a person.
     """
 
     points: Array
-    measured: NDArray[np.bool_]
+    frame: NDArray[np.intp]
+    crossing: NDArray[np.intp]
+    kind: NDArray[np.intp]
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Points that the fit uses: (n,) bool."""
+        return np.asarray(self.kind != PREDICTED)
 
 
-def crossing_marks(inspection: Inspection) -> CrossingMarks:
-    """Return where the crossing points were measured, and where the fit expects the others."""
-    points, measured = [np.empty((0, 3))], [np.empty(0, dtype=bool)]
-    crossings = inspection.crossings
+MEASURED, PREDICTED, EDITED = 0, 1, 2
+
+
+def crossing_marks(
+    crossings: Crossings | None, predicted: Callable[[int], Array] | None = None
+) -> CrossingMarks:
+    """Return where the crossing points were measured, and where the others should lie.
+
+    Parameters
+    ----------
+    crossings : Crossings or None
+    predicted : callable, optional
+        (n_crossings, 2) px of a frame; without it, or where it is NaN, the detection's own guess.
+    """
+    points, numbers, kinds = [np.empty((0, 3))], [np.empty((0, 2), int)], [np.empty(0, int)]
     for i, frame in enumerate(crossings.frames if crossings is not None else ()):
         found = frame.points_px.copy()
         is_measured = frame.measured & np.isfinite(found).all(axis=1)
-        if (fit := inspection.calibration) is not None and fit.used[i]:
-            found[~is_measured] = fit.crossings_px(i)[~is_measured]
+        if predicted is not None:
+            better = predicted(i)
+            use = ~is_measured & np.isfinite(better).all(axis=1)
+            found[use] = better[use]
         known = np.isfinite(found).all(axis=1)
+        kind = np.where(is_measured, np.where(frame.by_hand, EDITED, MEASURED), PREDICTED)
         points.append(in_frame(found[known], i))
-        measured.append(is_measured[known])
-    return CrossingMarks(np.concatenate(points), np.concatenate(measured))
+        where = np.flatnonzero(known)
+        numbers.append(np.column_stack([np.full_like(where, i), where]))
+        kinds.append(kind[known])
+    number = np.concatenate(numbers)
+    return CrossingMarks(np.concatenate(points), number[:, 0], number[:, 1], np.concatenate(kinds))
 
 
 def frame_poses(inspection: Inspection) -> tuple[Camera, Array, NDArray[np.bool_]] | None:

@@ -28,6 +28,7 @@ from pv_inspect.results import Result, read_result
 from pv_inspect.sequence import Sequence
 
 __all__ = [
+    "PART_KEY",
     "RESULT_KEY",
     "SEQUENCE_KEY",
     "lazy_stack",
@@ -40,17 +41,21 @@ __all__ = [
 # Under these keys of its metadata a layer carries what it shows; the workbench adopts such layers.
 SEQUENCE_KEY = "pv_inspect.sequence"
 RESULT_KEY = "pv_inspect.result"
+PART_KEY = "pv_inspect.part"
 
 
-def open_sequence(path: Any) -> Sequence:
-    """Open one path, or a list of frames.
+def open_sequence(
+    path: Any, dark_frame: Path | None = None, flat_frame: Path | None = None
+) -> Sequence:
+    """Open one path, or a list of frames, with the reference images of the camera if given.
 
     Raises
     ------
     InspectionError
         If the frames are no usable sequence.
     """
-    return Sequence.open(path if isinstance(path, (str, Path)) else [Path(p) for p in path])
+    given = path if isinstance(path, (str, Path)) else [Path(p) for p in path]
+    return Sequence.open(given, dark_frame, flat_frame)
 
 
 def lazy_stack(sequence: Sequence) -> da.Array:
@@ -81,22 +86,25 @@ def result_layers(folder: Path) -> list[LayerData]:
         "name": MODULE,
         "contrast_limits": contrast_limits(result.image),
         "colormap": "gray",
-        "metadata": {RESULT_KEY: result},
+        "metadata": {RESULT_KEY: result, PART_KEY: MODULE},
     }
     support = {
         "name": SUPPORT,
+        "metadata": {PART_KEY: SUPPORT},
         "contrast_limits": (0.0, 1.0),
         "colormap": "viridis",
         "visible": False,
     }
     consistency = {
         "name": CONSISTENCY,
+        "metadata": {PART_KEY: CONSISTENCY},
         "contrast_limits": CONSISTENCY_LIMITS,
         "colormap": "magma",
         "visible": False,
     }
     cracks = {
         "name": CRACKS,
+        "metadata": {PART_KEY: CRACKS},
         "contrast_limits": (0.0, 1.0),
         "colormap": Colormap(**crack_colormap()),
         "blending": "translucent",

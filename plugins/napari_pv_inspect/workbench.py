@@ -10,22 +10,32 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.utils.notifications import show_error
-from qtpy.QtCore import QEvent, QObject, QTimer
+from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from superqt.utils import qthrottled
 
+from napari_pv_inspect.drops import DropTaker
 from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.history import History
+from napari_pv_inspect.kappa_curve import KappaCurve
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
+from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.live import LiveKappa
+from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.navigation import Navigator
+from napari_pv_inspect.opener import Opener
+from napari_pv_inspect.point_editor import PointEditor
+from napari_pv_inspect.recalibration import Recalibration
 from napari_pv_inspect.reviewer import Reviewer
+from napari_pv_inspect.saver import Saver
+from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
-from napari_pv_inspect.sources import RESULT_KEY, open_sequence
+from napari_pv_inspect.sources import RESULT_KEY
+from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
-from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
 
 __all__ = ["Workbench"]
@@ -54,12 +64,21 @@ class Workbench(QObject):
         self.model = WorkbenchModel()
         self.history = History()
         self.runs = RunController(self.model)
+        self.editor = PointEditor(self.model, self.history)
         self.frames = FramesLayer(viewer, self.model)
         self.geometry = GeometryLayers(viewer, self.model)
         self.module = ModuleLayers(viewer, self.model)
         self.guesser = LayoutGuesser(self.model)
-        self.live = LiveKappa(viewer, self.model, self.frames, self.geometry)
+        self.points = PointsLayer(viewer, self.model, self.frames, self.editor)
+        self.live = LiveKappa(viewer, self.model, self.frames, self.geometry, self.editor)
+        self.recalibration = Recalibration(self.model, self.editor)
+        self.kappa_curve = KappaCurve(self.model)
+        self.tuning = Tuning(self.model, self.history)
+        self.live_cell = LiveCell(self.model, self.tuning)
         self.navigator = Navigator(viewer, self.model, self.module)
+        self.opener = Opener(self.model)
+        self.saver = Saver(self.model)
+        self.session = SessionKeeper(viewer, self.model, self.frames)
         self.review = Reviewer(self.model, self.history)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
@@ -72,9 +91,17 @@ class Workbench(QObject):
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
-        self._fit_timer.timeout.connect(self.navigator.to_all)
+        self._fit_timer.timeout.connect(self._fit)
+        self.opener.result_opened.connect(self._on_result)
+        self.saver.saved.connect(self._on_saved)
         self.shortcuts: Shortcuts | None = None
+        self._drops: DropTaker | None = None
         if self._main_window is not None:
+            # The controls keep their height when the gallery comes.
+            self._main_window.setCorner(
+                Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
+            )
+            self._drops = DropTaker(self._main_window._qt_viewer, self.open)
             self._main_window.installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
@@ -82,12 +109,9 @@ class Workbench(QObject):
         for layer in list(viewer.layers):
             self._adopt(layer)
 
-    def open(self, path: Path | str) -> None:
-        """Put a sequence on the bench; what is wrong with it becomes a notice."""
-        try:
-            self.model.open(open_sequence(path))
-        except InspectionError as error:
-            self.model.notice(str(error), is_error=True)
+    def open(self, path: Any) -> None:
+        """Open frames or a result folder beside the window; what is wrong becomes a notice."""
+        self.opener.open(path)
 
     def close(self) -> None:
         """Stop a run and let go of the viewer; called when its window closes."""
@@ -97,7 +121,16 @@ class Workbench(QObject):
         self.runs.shutdown()
         self._show_preview.cancel()
         self._fit_timer.stop()
+        self.session.close()
+        self.opener.close()
+        self.saver.close()
+        if self._drops is not None:
+            self._drops.close()
         self.live.close()
+        self.points.close()
+        self.recalibration.close()
+        self.kappa_curve.close()
+        self.live_cell.close()
         self.guesser.close()
         self.review.close()
         self.frames.close()
@@ -121,6 +154,19 @@ class Workbench(QObject):
         """Show everything, once docks that come or go have settled."""
         self._fit_timer.start()
 
+    def _fit(self) -> None:
+        if not self.session.aim():
+            self.navigator.to_all()
+
+    def _on_result(self, result: Result) -> None:
+        self.session.resume(result)
+        self.fit_view()
+
+    def _on_saved(self, inspection: Inspection, folder: Path) -> None:
+        if inspection is self.model.inspection:
+            self.session.attach(folder)
+            self.review.saved(folder)
+
     def _on_sequence(self, _: object) -> None:
         self.history.clear()
         self.fit_view()
@@ -129,10 +175,11 @@ class Workbench(QObject):
         self._adopt(event.value)
 
     def _adopt(self, layer: Layer) -> None:
-        if not self.frames.adopt(layer) and isinstance(
-            result := layer.metadata.get(RESULT_KEY), Result
-        ):
-            self.model.open_result(result)
+        if self.frames.adopt(layer):
+            return
+        self.module.adopt(layer)
+        if isinstance(result := layer.metadata.get(RESULT_KEY), Result):
+            self.opener.restore(result)
 
     def _on_preview(self, image: Any) -> None:
         self._preview = image

@@ -66,6 +66,14 @@ def _past(step: Step, until: Stage) -> bool:
     return step.stage is until and step.partial is not None
 
 
+@dataclass(frozen=True)
+class _Wish:
+    """A run that waits for the current one to end."""
+
+    until: Stage | None
+    even_after_failure: bool
+
+
 class InspectionWorker(GeneratorWorker):  # type: ignore[misc]
     """A worker that closes its generator in its own thread, so that cancelling frees it at once."""
 
@@ -78,7 +86,10 @@ class InspectionWorker(GeneratorWorker):  # type: ignore[misc]
 
 
 class RunController(QObject):
-    """Starts, cancels and ends runs; one at a time.
+    """Starts, cancels and ends runs; one at a time, and one that waits.
+
+    The newest wish wins: with changed settings it ends the current run and takes its place, else
+    it waits for that run to end and goes on from there.
 
     The signals of a worker are connected to bound methods of this object, which lives in the main
     thread: Qt then delivers them there, and drops them when the object is gone.
@@ -90,12 +101,26 @@ class RunController(QObject):
         self._worker: InspectionWorker | None = None
         self._outcome: Outcome | None = None
         self._until: Stage | None = None
+        self._waiting: _Wish | None = None
         model.sequence_changed.connect(self._on_sequence)
 
+    @property
+    def waiting(self) -> bool:
+        """Whether another run starts when the current one ends."""
+        return self._waiting is not None
+
     def start(self, until: Stage | None = None) -> bool:
-        """Start a run with the model's settings; False if it can't start now."""
+        """Start a run with the model's settings, now or when the current one has ended.
+
+        Returns
+        -------
+        bool
+            False if it can't start, or if just this run is under way.
+        """
+        if self.model.run_state is not RunState.IDLE:
+            return self._wait(until)
         try:
-            start = self.model.begin_run()
+            start = self.model.begin_run(until)
         except InspectionError as error:
             self.model.notice(str(error), is_error=True)
             return False
@@ -109,14 +134,32 @@ class RunController(QObject):
         return True
 
     def cancel(self) -> None:
-        """Ask the run to stop; it does so at its next step."""
+        """Ask the run to stop, which it does at its next step; none follows it."""
+        self._waiting = None
+        self._stop()
+
+    def _stop(self) -> None:
         if self._worker is not None and self.model.run_state is RunState.RUNNING:
             self.model.stopping()
             self._worker.quit()
 
+    def _wait(self, until: Stage | None) -> bool:
+        stopping = self.model.run_state is RunState.STOPPING
+        if self.model.run_is_outdated:
+            self._waiting = _Wish(until, even_after_failure=True)
+            self._stop()
+        elif stopping or until != self._until:
+            self._waiting = _Wish(until, even_after_failure=stopping)
+            self.model.notice("Another run follows when this one has ended.")
+        else:
+            self.model.notice("Just this run is under way: change a setting, or cancel it.")
+            return False
+        return True
+
     def shutdown(self, wait_ms: int = 3000) -> None:
         """Stop for good: nothing reaches the model any more; wait briefly for the thread."""
         worker, self._worker = self._worker, None
+        self._waiting = self._outcome = None
         if worker is None:
             return
         worker.yielded.disconnect(self._on_step)
@@ -140,16 +183,21 @@ class RunController(QObject):
         if self._worker is None:
             return
         self._worker = None
-        outcome = self._outcome
+        outcome, self._outcome = self._outcome, None
+        wish, self._waiting = self._waiting, None
         if outcome is None:
             self.model.end_run(None, keep_draft=False)
             self.model.notice("Cancelled; the last whole result is kept.")
         elif outcome.failure:
-            self.model.end_run(None, keep_draft=False)
+            self.model.end_run(None, keep_draft=False, why=outcome.failure)
             self.model.notice(outcome.failure, is_error=True)
+            if wish is not None and not wish.even_after_failure:
+                wish = None
         else:
             self.model.end_run(outcome.inspection, keep_draft=self._until is not None)
             self.model.notice(_summary(self.model.inspection))
+        if wish is not None:
+            self.start(wish.until)
 
 
 def _summary(inspection: Inspection | None) -> str:

@@ -67,7 +67,7 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
     if not math.isnan(cell.unsupported_share):
         where = "crack length" if cell.crack_suspected else "cell"
         earned = "yes" if cell.earned else "no"
-        share = f"{cell.unsupported_share:.0%} of the {where} without support"
+        share = f"{cell.unsupported_share:.0%} of the {where} is unsupported"
         pairs.append(("earned by the frames", f"{earned}, {share}"))
     return pairs
 

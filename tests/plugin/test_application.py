@@ -66,6 +66,7 @@ def test_the_sample_is_seen_and_its_grid_is_found(app: Any, qtbot: QtBot) -> Non
         pytest.skip("sample_data/ is not in this checkout")
     viewer, dock, _ = app
     qtbot.mouseClick(dock.open_sample, LEFT)
+    qtbot.waitUntil(lambda: dock.bench.model.sequence is not None, timeout=20_000)
     before = canvas(viewer, qtbot)
     assert before.max() > 150
     assert share_of_colour(before, GRID_COLOUR) < 1e-4
@@ -159,6 +160,9 @@ def build_and_close_mid_run(viewer):
             QTimer.singleShot(0, viewer.window._qt_window.close)
 
     def run():
+        if dock.bench.model.sequence is None:
+            QTimer.singleShot(200, run)
+            return
         dock.bench.model.progress_changed.connect(close)
         dock.run.run.click()
 

@@ -60,7 +60,7 @@ def test_grid_lines_meet_at_the_fitted_crossing_points(tiny_inspection: Inspecti
 
 
 def test_every_known_crossing_point_is_drawn_once_in_its_frame(tiny_inspection: Inspection) -> None:
-    marks = crossing_marks(tiny_inspection)
+    marks = crossing_marks(tiny_inspection.crossings)
     layout = tiny_inspection.layout
     assert len(marks.points) == len(tiny_inspection.sequence) * layout.n_crossings
     assert set(marks.points[:, 0]) == {float(i) for i in range(len(tiny_inspection.sequence))}

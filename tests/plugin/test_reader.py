@@ -2,9 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import dask.array as da
 import numpy as np
@@ -109,24 +107,3 @@ def test_a_broken_sequence_is_one_sentence_and_no_layer(
     assert read_sequence(str(tmp_path)) == [(None,)]
     assert len(sentences) == 1
     assert "frame_0.tif" in sentences[0]
-
-
-def test_a_result_is_shown_with_its_cells(
-    make_napari_viewer: Callable[..., Any], result_folder: Path
-) -> None:
-    from napari_pv_inspect.application import build, load
-
-    viewer = make_napari_viewer()
-    dock, cells = build(viewer)
-    load(viewer, dock, result_folder)
-    assert [layer.name for layer in viewer.layers] == [
-        "Module image",
-        "Support",
-        "Contradictions",
-        "Cracks",
-    ]
-    assert cells.cells.rowCount() == 12
-    cells.view.setCurrentIndex(cells.cells.index(0))
-    corners = dock.bench.model.result.grid.to_pixels(np.array([[0.0, 0.0], [1.0, 1.0]]))
-    _, row, col = viewer.scene.camera.center
-    assert (col, row) == pytest.approx(tuple(corners.mean(axis=0)), abs=1.0)

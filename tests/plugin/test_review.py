@@ -40,6 +40,7 @@ def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot)
     viewer, dock, cells = bench
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
     stored(dock, qtbot)
     viewer.window._qt_window.show()
     return viewer, dock, cells

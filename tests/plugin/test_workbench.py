@@ -259,6 +259,7 @@ def test_save_writes_the_result_folder(
     _, dock, _ = bench
     run(dock, qtbot)
     dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: not dock.bench.saver.busy, timeout=10_000)
     assert (tmp_path / "out" / "result.json").is_file()
 
 
@@ -269,10 +270,12 @@ def test_what_can_not_be_opened_or_saved_is_one_sentence_in_the_dock(
     popups: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
     dock.bench.open(tmp_path / "nowhere")
+    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=5000)
     assert "nowhere" in dock.run.message.text()
     run(dock, qtbot)
     (tmp_path / "file").write_text("x")
     dock.save(tmp_path / "file" / "out")
+    qtbot.waitUntil(lambda: not dock.bench.saver.busy, timeout=10_000)
     assert len(popups) == 2
     assert "\n" not in dock.run.message.text()
 

@@ -1,42 +1,153 @@
-"""Settings of the module image: magnification and prior."""
+"""Settings of the module image: magnification, prior, blur; and presets of them."""
 
 from __future__ import annotations
 
-from qtpy.QtCore import QSignalBlocker
-from qtpy.QtWidgets import QCheckBox, QFormLayout, QGroupBox, QWidget
+from pathlib import Path
 
+from qtpy.QtCore import QSignalBlocker, Qt, Signal
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFileDialog,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QWidget,
+)
+
+from napari_pv_inspect.cell_renderer import lambda_in_use
+from napari_pv_inspect.docks.lambda_plot import LambdaPlot
 from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.slider import SettingSlider
+from napari_pv_inspect.docks.slider import SettingSlider, setting_tooltip
+from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.presets import PRESET_FIELDS, read_preset, write_preset
+from pv_inspect.errors import InspectionError
+from pv_inspect.reconstruction import TYPICAL_SIGMA_LR_PX, Reconstruction
 from pv_inspect.settings import Settings
 
 __all__ = ["ImageBox"]
 
 LAMBDA_RANGE = (1e-4, 10.0)
+SIGMA_RANGE = (0.1, 3.0)
+PRIORS = {
+    "wbtv": (
+        "Sharp edges",
+        "Flattens noise and keeps cracks sharp; an edge once found is smoothed less (WBTV).",
+    ),
+    "btv": (
+        "Sharp, plain",
+        "The same without weights: fine lines lose more contrast (BTV).",
+    ),
+    "tikhonov": (
+        "Smooth",
+        "Squared differences: no surprises, but edges are rounded and noise stays (Tikhonov).",
+    ),
+}
 
 
 class ImageBox(QGroupBox):
-    """Sliders for what the reconstruction is made with."""
+    """What the reconstruction is made with; the live cell follows."""
 
-    def __init__(self, model: WorkbenchModel, parent: QWidget | None = None) -> None:
+    live_wanted = Signal()
+
+    def __init__(
+        self, model: WorkbenchModel, live: LiveCell, parent: QWidget | None = None
+    ) -> None:
         super().__init__("Module image", parent)
         self._model = model
+        self._live = live
         self.magnification = SettingSlider("magnification", 1.0, 6.0, decimals=2)
         self.prior_weight = SettingSlider("prior_weight", *LAMBDA_RANGE, 4, logarithmic=True)
         self.automatic = QCheckBox("Lambda automatic")
         self.automatic.setToolTip(
             "Choose lambda so that the image predicts pixels best that it has not seen."
         )
-        form = QFormLayout(self)
-        form.addRow("Magnification", self.magnification)
-        form.addRow("Lambda", self.prior_weight)
-        form.addRow("", self.automatic)
+        self.psf_sigma = SettingSlider("psf_sigma_lr_px", *SIGMA_RANGE, 2, logarithmic=True)
+        self.estimated = QCheckBox("PSF estimated")
+        self.estimated.setToolTip(
+            "Estimate the blur of the lens from the frames. Unit of the slider: LR px."
+        )
+        self.prior = QComboBox()
+        self.prior.setToolTip(setting_tooltip("prior"))
+        self.prior.setSizeAdjustPolicy(
+            QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon
+        )
+        self.prior.setMinimumContentsLength(12)
+        for k, (name, (text, tip)) in enumerate(PRIORS.items()):
+            self.prior.addItem(text, name)
+            self.prior.setItemData(k, tip, Qt.ItemDataRole.ToolTipRole)
+        self.motion = QCheckBox("Undo motion blur")
+        self.motion.setToolTip(setting_tooltip("motion_blur"))
+        self.plot = LambdaPlot()
+        self.show_live = QPushButton("Live cell")
+        self.show_live.setToolTip("Show the selected cell large while the sliders move.")
+        self.load = QPushButton("Load preset...")
+        self.load.setToolTip("Take the settings of this page from a file; the module's own stay.")
+        self.save = QPushButton("Save preset...")
+        self.save.setToolTip("Keep the settings of this page in a file for other modules.")
+        self._arrange()
         self.magnification.changed.connect(self._on_magnification)
         self.prior_weight.changed.connect(self._on_prior_weight)
         self.automatic.toggled.connect(self._on_automatic)
+        self.psf_sigma.changed.connect(self._on_psf_sigma)
+        self.estimated.toggled.connect(self._on_estimated)
+        self.prior.activated.connect(self._on_prior)
+        self.motion.toggled.connect(self._on_motion)
+        self.plot.chosen.connect(self._on_chosen)
+        self.show_live.clicked.connect(self.live_wanted)
+        self.load.clicked.connect(self._on_load)
+        self.save.clicked.connect(self._on_save)
         listen(model.settings_changed, self._on_settings)
         listen(model.inspection_changed, self._on_inspection)
-        self._on_settings(model.settings)
+        self._on_inspection()
+
+    def load_preset(self, path: Path) -> None:
+        """Take a preset over as one edit; what is wrong with it becomes a notice."""
+        try:
+            preset = read_preset(path)
+        except InspectionError as error:
+            self._model.notice(str(error), is_error=True)
+        else:
+            self._live.tuning.apply(preset, PRESET_FIELDS, f"Load preset {path.stem}")
+            self._model.notice(f"Preset {path.stem} loaded.")
+
+    def save_preset(self, path: Path) -> None:
+        """Write the settings as a preset; what is wrong becomes a notice."""
+        path = path if path.suffix else path.with_suffix(".toml")
+        try:
+            write_preset(self._model.settings, path)
+        except InspectionError as error:
+            self._model.notice(str(error), is_error=True)
+        else:
+            self._model.notice(f"Preset saved to {path}.")
+
+    def _arrange(self) -> None:
+        for slider in (self.magnification, self.prior_weight, self.psf_sigma):
+            # Beside a scroll bar the buttons of the number would be cut off.
+            slider.number.setMinimumWidth(92)
+            slider.slider.setMinimumWidth(40)
+        marks = QHBoxLayout()
+        marks.addWidget(self.automatic)
+        marks.addWidget(self.estimated)
+        files = QHBoxLayout()
+        for button in (self.load, self.save):
+            files.addWidget(button)
+        form = QFormLayout(self)
+        form.setContentsMargins(6, 4, 6, 4)
+        form.setVerticalSpacing(4)
+        form.addRow(self.show_live)
+        form.addRow("Magnification", self.magnification)
+        form.addRow("Lambda", self.prior_weight)
+        form.addRow("PSF sigma", self.psf_sigma)
+        form.addRow(marks)
+        form.addRow("Prior", self.prior)
+        form.addRow(self.motion)
+        form.addRow(QLabel("Held-out residual over lambda"))
+        form.addRow(self.plot)
+        form.addRow(files)
 
     def _on_magnification(self, value: float) -> None:
         self._model.change_settings(magnification=value)
@@ -48,21 +159,71 @@ class ImageBox(QGroupBox):
         weight = None if automatic else self.prior_weight.value
         self._model.change_settings(prior_weight=weight)
 
+    def _on_psf_sigma(self, value: float) -> None:
+        self._model.change_settings(psf_sigma_lr_px=value)
+
+    def _on_estimated(self, estimated: bool) -> None:
+        sigma = None if estimated else self.psf_sigma.value
+        self._model.change_settings(psf_sigma_lr_px=sigma)
+
+    def _on_prior(self, index: int) -> None:
+        self._model.change_settings(prior=self.prior.itemData(index))
+
+    def _on_motion(self, undone: bool) -> None:
+        self._model.change_settings(motion_blur="auto" if undone else "none")
+
+    def _on_chosen(self, weight: float) -> None:
+        low, high = LAMBDA_RANGE
+        self._model.change_settings(prior_weight=min(max(weight, low), high))
+        self._live.settle()
+
     def _on_settings(self, settings: Settings) -> None:
         self.magnification.show_value(settings.magnification)
-        self._show_prior_weight()
-
-    def _on_inspection(self, _: object = None) -> None:
-        self._show_prior_weight()
-
-    def _show_prior_weight(self) -> None:
-        """Show lambda: the user's, else the one that was found automatically."""
-        weight = self._model.settings.prior_weight
-        with QSignalBlocker(self.automatic):
-            self.automatic.setChecked(weight is None)
-        inspection = self._model.inspection
-        made = None if inspection is None else inspection.reconstruction
-        if weight is None and made is not None:
-            weight = made.prior_weight
+        made = self._made
+        sigma = settings.psf_sigma_lr_px
+        weight = lambda_in_use(self._model.inspection, settings)
+        for box, checked in (
+            (self.automatic, settings.prior_weight is None),
+            (self.estimated, sigma is None),
+            (self.motion, settings.motion_blur == "auto"),
+        ):
+            with QSignalBlocker(box):
+                box.setChecked(checked)
         if weight is not None:
             self.prior_weight.show_value(weight)
+        if sigma is None:
+            sigma = TYPICAL_SIGMA_LR_PX if made is None else made.psf_sigma_lr_px
+        self.psf_sigma.show_value(sigma)
+        with QSignalBlocker(self.prior):
+            self.prior.setCurrentIndex(self.prior.findData(settings.prior))
+        self.plot.show_present(weight)
+        self._show_curve(settings)
+
+    def _on_inspection(self, _: object = None) -> None:
+        self._on_settings(self._model.settings)
+
+    def _show_curve(self, settings: Settings) -> None:
+        inspection, made = self._model.inspection, self._made
+        if inspection is None or made is None:
+            self.plot.show_curve((), None, "Run once: the curve comes with the module image.")
+        elif inspection.settings.prior != settings.prior:
+            self.plot.show_curve((), None, "Run again for the curve of this prior.")
+        elif not made.lambda_curve:
+            self.plot.show_curve((), None, "The last run was given lambda: there is no curve.")
+        else:
+            self.plot.show_curve(made.lambda_curve, made.prior_weight)
+
+    @property
+    def _made(self) -> Reconstruction | None:
+        inspection = self._model.inspection
+        return None if inspection is None else inspection.reconstruction
+
+    def _on_load(self) -> None:
+        path = QFileDialog.getOpenFileName(self, "Preset", "", "Settings (*.toml)")[0]
+        if path:
+            self.load_preset(Path(path))
+
+    def _on_save(self) -> None:
+        path = QFileDialog.getSaveFileName(self, "Preset", "preset.toml", "Settings (*.toml)")[0]
+        if path:
+            self.save_preset(Path(path))

@@ -7,12 +7,14 @@ from pathlib import Path
 from napari.components import ViewerModel
 from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
+    QDockWidget,
     QFileDialog,
     QFrame,
     QHBoxLayout,
     QLabel,
     QPushButton,
     QScrollArea,
+    QSizePolicy,
     QTabWidget,
     QVBoxLayout,
     QWidget,
@@ -20,24 +22,38 @@ from qtpy.QtWidgets import (
 
 from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.export_box import ExportBox
+from napari_pv_inspect.docks.frames_box import FramesBox
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.docks.module_box import ModuleBox
+from napari_pv_inspect.docks.points_box import PointsBox
+from napari_pv_inspect.docks.reference_box import ReferenceBox
 from napari_pv_inspect.docks.result_box import ResultBox
 from napari_pv_inspect.docks.review_box import ReviewBox
 from napari_pv_inspect.docks.run_box import RunBox
+from napari_pv_inspect.docks.steps import StepsBox
 from napari_pv_inspect.sample import sample_folder
+from napari_pv_inspect.steps import REVIEW, Deed
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import write_result
+from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Stage
 
 __all__ = ["InspectDock"]
 
 WIDTH = 330
+PAGE_OF_STEP = {
+    "load": "Frames",
+    "detect": "Grid",
+    "calibrate": "Grid",
+    "register": "Frames",
+    "reconstruct": "Image",
+    "cells": "Image",
+    "cracks": "Image",
+}
 
 
 class InspectDock(QWidget):
@@ -52,9 +68,13 @@ class InspectDock(QWidget):
         self.open_sample.setToolTip("Open the sample module.")
         self.headline = QLabel()
         self.headline.setWordWrap(True)
+        self.steps = StepsBox(bench.model)
+        self.frames = FramesBox(bench)
+        self.references = ReferenceBox(bench.model)
         self.module = ModuleBox(bench.model)
-        self.lens = LensBox(bench.model, bench.live)
-        self.image = ImageBox(bench.model)
+        self.points = PointsBox(bench)
+        self.lens = LensBox(bench.model, bench.live, bench.kappa_curve)
+        self.image = ImageBox(bench.model, bench.live_cell)
         self.verdict = ReviewBox(bench.model, bench.review, bench.history)
         self.export = ExportBox(bench.model, bench.review.state)
         self.run = RunBox(bench.model)
@@ -66,22 +86,37 @@ class InspectDock(QWidget):
         layout = QVBoxLayout(self)
         layout.addLayout(sources)
         layout.addWidget(self.headline)
+        layout.addWidget(self.steps)
         self.pages = QTabWidget()
         self.add_page(
-            "Grid", "Which module it is, and where its cells are.", self.module, self.lens
+            "Frames", "Which frames are used, and how they were read.", self.frames, self.references
+        )
+        self.add_page(
+            "Grid",
+            "Which module it is, and where its cells are.",
+            self.module,
+            self.points,
+            self.lens,
         )
         self.add_page("Image", "How the module image is made.", self.image)
         self.add_page("Review", "What you say about the cells.", self.verdict, self.export)
+        self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.run)
         layout.addWidget(self.result)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
+        self.image.live_wanted.connect(self._on_live)
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
         listen(bench.review.state.folder_wanted, self._on_folder_wanted)
+        self.steps.wanted.connect(self._on_deed)
+        self.steps.step_clicked.connect(self._on_step)
+        self.pages.currentChanged.connect(self._on_page)
+        listen(bench.session.page_restored, self.show_page)
+        listen(bench.model.result_opened, self._on_result)
         listen(bench.model.sequence_changed, self._on_sequence)
         listen(bench.model.inspection_changed, self._on_inspection)
         self._on_sequence(bench.model.sequence)
@@ -92,7 +127,8 @@ class InspectDock(QWidget):
         column = QVBoxLayout(content)
         column.setContentsMargins(2, 4, 2, 2)
         for box in boxes:
-            column.addWidget(box)
+            expands = box.sizePolicy().verticalPolicy() == QSizePolicy.Policy.Expanding
+            column.addWidget(box, 100 if expands else 0)
         column.addStretch(1)
         page = QScrollArea()
         page.setFrameShape(QFrame.Shape.NoFrame)
@@ -108,17 +144,9 @@ class InspectDock(QWidget):
                 self.pages.setCurrentIndex(k)
 
     def save(self, folder: Path) -> None:
-        """Write the result folder; what is wrong becomes a notice."""
-        inspection = self.bench.model.inspection
-        if inspection is None:
-            return
-        try:
-            write_result(inspection, folder)
-        except InspectionError as error:
-            self.bench.model.notice(str(error), is_error=True)
-        else:
-            self.bench.review.saved(folder)
-            self.bench.model.notice(f"Saved to {folder}.")
+        """Write the result folder beside the window; what is wrong becomes a notice."""
+        if self.bench.model.inspection is not None:
+            self.bench.saver.save(self.bench.model.inspection, folder)
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
         if sequence is None:
@@ -130,6 +158,52 @@ class InspectDock(QWidget):
             f"{sequence.bit_depth} bit"
         )
         self.headline.setToolTip(str(sequence.source))
+
+    def _on_result(self, result: Result) -> None:
+        self.headline.setText(f"<b>{result.folder.name}</b>: a result without its frames")
+        self.headline.setToolTip(str(result.folder))
+
+    def _on_deed(self, deed: Deed) -> None:
+        if deed is Deed.OPEN:
+            self._on_open_folder()
+        elif deed is Deed.CONFIRM:
+            self.bench.model.confirm_layout()
+        elif deed is Deed.DETECT:
+            self._on_detect()
+        elif deed is Deed.RUN:
+            self._on_run()
+        elif deed is Deed.CANCEL:
+            self._on_cancel()
+        elif deed is Deed.GIVE_LAYOUT:
+            self.show_page("Grid")
+            self.module.rows.setFocus()
+        elif deed is Deed.REVIEW:
+            self._review()
+
+    def _on_step(self, name: str) -> None:
+        if name == REVIEW:
+            self._review()
+        else:
+            self.show_page(PAGE_OF_STEP[name])
+
+    def _on_page(self, page: int) -> None:
+        self.bench.session.turn_to(self.pages.tabText(page))
+
+    def _review(self) -> None:
+        """Show the gallery, with a cell to begin with."""
+        model, shown = self.bench.model, self.bench.model.shown
+        if model.result is None and (shown is None or shown.tiles is None):
+            model.notice("There are no cells yet: run the inspection first.")
+            return
+        widget: QWidget | None = self.bench.viewer.window.dock_widgets.get("Cells")
+        while widget is not None and not isinstance(widget, QDockWidget):
+            widget = widget.parentWidget()
+        if widget is not None:
+            widget.show()
+            widget.raise_()
+        self.show_page("Review")
+        if model.selected_cell is None:
+            model.select_cell((0, 0))
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if self.bench.has_gallery or inspection is None or inspection.tiles is None:
@@ -148,6 +222,9 @@ class InspectDock(QWidget):
 
     def _on_detect(self) -> None:
         self.bench.runs.start(until=Stage.CALIBRATE)
+
+    def _on_live(self) -> None:
+        show_live_cell(self.bench, self)
 
     def _on_run(self) -> None:
         self.bench.runs.start()

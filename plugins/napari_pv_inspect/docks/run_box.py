@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from time import monotonic
+
 from qtpy.QtCore import Signal
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.model import RunState, WorkbenchModel
+from napari_pv_inspect.remaining import remaining_text
 from pv_inspect.settings import Stage
 
 __all__ = ["RunBox"]
@@ -24,7 +27,11 @@ class RunBox(QWidget):
         super().__init__(parent)
         self._model = model
         self.run = QPushButton("Run")
-        self.run.setToolTip("Do all stages that are not up to date, in the background.")
+        self.run.setToolTip(
+            "Do all stages that are not up to date, in the background. While a run goes on: with "
+            "changed settings the new run ends it and takes its place; after Detect it follows."
+        )
+        self._begun_s: float | None = None
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("Stop the run at its next step; the last whole result stays.")
         self.progress = QProgressBar()
@@ -55,8 +62,14 @@ class RunBox(QWidget):
         self.message.setStyleSheet("")
         idle = model.run_state is RunState.IDLE
         known = model.settings.rows is not None and model.settings.cols is not None
-        self.run.setEnabled(idle and model.sequence is not None and known)
-        self.cancel.setEnabled(model.run_state is RunState.RUNNING)
+        running = model.run_state is RunState.RUNNING
+        another = not running or model.run_is_outdated or model.run_until is not None
+        self.run.setEnabled(another and model.sequence is not None and known)
+        if idle:
+            self._begun_s = None
+        elif self._begun_s is None:
+            self._begun_s = monotonic()
+        self.cancel.setEnabled(running)
         if model.run_state is RunState.STOPPING:
             self.message.setText("Stopping at the next step ...")
         elif idle:
@@ -71,13 +84,14 @@ class RunBox(QWidget):
             return "How many rows and columns of cells does the module have?"
         if not model.to_do:
             return "Up to date."
-        first = min(model.to_do, key=_position)
+        first = min(model.to_do - {Stage.LOAD}, key=_position)
         return f"Next run starts at: {first.value}."
 
     def _on_progress(self, fraction: float, message: str) -> None:
         self.progress.setValue(round(1000 * fraction))
-        if self._model.run_state is RunState.RUNNING:
-            self.message.setText(message)
+        if self._model.run_state is RunState.RUNNING and self._begun_s is not None:
+            left = remaining_text(fraction, monotonic() - self._begun_s)
+            self.message.setText(f"{message}, {left}" if left else message)
 
     def _on_notice(self, text: str, is_error: bool) -> None:
         self.message.setStyleSheet(f"color: {WARNING_COLOUR}" if is_error else "")

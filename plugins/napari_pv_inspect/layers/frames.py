@@ -6,6 +6,7 @@ from typing import Any
 
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
+from psygnal import Signal
 
 from napari_pv_inspect.appearance import FRAMES
 from napari_pv_inspect.layers.slot import LayerSlot
@@ -19,6 +20,8 @@ __all__ = ["FramesLayer", "frame_caption"]
 
 class FramesLayer:
     """Keeps the frames layer and the caption in step with the model."""
+
+    frame_shown = Signal(int)
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel) -> None:
         self._viewer = viewer
@@ -50,8 +53,16 @@ class FramesLayer:
         """Index of the frame under the time slider."""
         return int(self._viewer.dims.current_step[0]) if self._viewer.dims.ndim > 2 else 0
 
+    def show(self, frame: int) -> None:
+        """Move the time slider."""
+        if self._viewer.dims.ndim > 2 and frame != self.frame:
+            self._viewer.dims.set_current_step(0, frame)
+
     def _on_sequence(self, sequence: Sequence | None) -> None:
         layer = self._slot.layer
+        if sequence is None and layer is not None:
+            layer.visible = False
+            self._slot = LayerSlot(self._viewer, Image)
         if sequence is not None and (
             layer is None or layer.metadata.get(SEQUENCE_KEY) is not sequence
         ):
@@ -70,6 +81,8 @@ class FramesLayer:
 
     def _on_step(self, _: Any = None) -> None:
         self._caption()
+        if self._viewer.dims.ndim > 2:
+            self.frame_shown.emit(self.frame)
 
     def _caption(self) -> None:
         overlay = self._viewer.canvas.overlays.text

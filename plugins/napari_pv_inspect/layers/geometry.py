@@ -1,16 +1,16 @@
-"""Crossing points and fitted grid over the frames; they follow the time slider."""
+"""Fitted grid over the frames; it follows the time slider."""
 
 from __future__ import annotations
 
 import numpy as np
 from napari.components import ViewerModel
-from napari.layers import Points, Vectors
+from napari.layers import Vectors
 from numpy.typing import NDArray
 
 from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.overlays import crossing_marks, grid_of_frames
+from napari_pv_inspect.overlays import grid_of_frames
 from pv_inspect.pipeline import Inspection
 from pv_inspect.sequence import Sequence
 
@@ -18,11 +18,10 @@ __all__ = ["GeometryLayers"]
 
 
 class GeometryLayers:
-    """Keeps the points layer and the grid layer in step with the model."""
+    """Keeps the grid layer in step with the model."""
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel) -> None:
         self._model = model
-        self._crossings: tuple[object, ...] = ()
         self._geometry: object = None
         self._grid: list[NDArray[np.float64]] = []
         self._bent: dict[int, NDArray[np.float64]] = {}
@@ -35,17 +34,6 @@ class GeometryLayers:
             edge_color=look.GRID_COLOUR,
             vector_style="line",
             opacity=0.85,
-        )
-        self._points_slot = LayerSlot(
-            viewer,
-            Points,
-            name=look.POINTS,
-            ndim=3,
-            size=6,
-            symbol="disc",
-            face_color="transparent",
-            border_width=0.22,
-            opacity=0.95,
         )
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
@@ -63,10 +51,9 @@ class GeometryLayers:
             self._draw_grid()
 
     def _on_sequence(self, _: Sequence | None) -> None:
-        self._crossings, self._geometry = (), None
+        self._geometry = None
         self._grid, self._bent = [], {}
         self._grid_slot.drop()
-        self._points_slot.drop()
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
@@ -77,10 +64,6 @@ class GeometryLayers:
             self._geometry, self._bent = geometry, {}
             self._grid = grid_of_frames(inspection)
             self._draw_grid()
-        source = (inspection.crossings, inspection.calibration)
-        if inspection.crossings is not None and not _same(source, self._crossings):
-            self._crossings = source
-            self._draw_points(inspection)
 
     def _draw_grid(self) -> None:
         frames = [self._bent.get(i, segments) for i, segments in enumerate(self._grid)]
@@ -89,18 +72,3 @@ class GeometryLayers:
             self._grid_slot.put(segments)
         else:
             self._grid_slot.drop()
-
-    def _draw_points(self, inspection: Inspection) -> None:
-        marks = crossing_marks(inspection)
-        if len(marks.points) == 0:
-            self._points_slot.drop()
-            return
-        layer = self._points_slot.put(marks.points)
-        layer.features = {"measured": marks.measured}
-        colours = np.where(marks.measured, look.MEASURED_COLOUR, look.PREDICTED_COLOUR)
-        layer.border_color = list(colours)
-        layer.editable = False
-
-
-def _same(a: tuple[object, ...], b: tuple[object, ...]) -> bool:
-    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))

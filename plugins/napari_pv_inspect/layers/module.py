@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from napari.components import ViewerModel
-from napari.layers import Image
+from napari.layers import Image, Layer
 from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 
@@ -12,6 +12,7 @@ from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.placement import Placement, module_placement
+from napari_pv_inspect.sources import PART_KEY
 from pv_inspect.layout import HrGrid
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
@@ -58,6 +59,12 @@ class ModuleLayers:
             blending="translucent",
             opacity=0.75,
         )
+        self._slots = {
+            look.MODULE: self._image,
+            look.SUPPORT: self._support,
+            look.CONSISTENCY: self._consistency,
+            look.CRACKS: self._cracks,
+        }
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
         model.result_opened.connect(self._on_result)
@@ -78,7 +85,7 @@ class ModuleLayers:
         self._cracks_shown = None
 
     def _on_sequence(self, _: Sequence | None) -> None:
-        for slot in (self._image, self._support, self._consistency, self._cracks):
+        for slot in self._slots.values():
             slot.drop()
         self._contrast_is_final = False
         self._shown = self._cracks_shown = self.placement = self.grid = None
@@ -101,10 +108,20 @@ class ModuleLayers:
             )
             self._cracks_shown = inspection.cracks
 
+    def adopt(self, layer: Layer) -> None:
+        """Make a layer of the reader ours, in place of the one that was."""
+        slot = self._slots.get(layer.metadata.get(PART_KEY))
+        if slot is not None and slot.layer is not layer:
+            slot.drop()
+            slot.adopt(layer)
+
     def _on_result(self, result: Result) -> None:
-        # The reader has added its layers, pixel by pixel; here only their place is noted.
-        self.grid, self.shape = result.grid, result.image.shape
-        self.placement = Placement((1.0, 1.0), (0.0, 0.0))
+        self._put_image(result.image, result.grid)
+        assert self.placement is not None
+        place = {"scale": self.placement.scale, "translate": self.placement.translate}
+        self._support.put(result.support, **place)
+        self._consistency.put(result.consistency, **place)
+        self._cracks.put(result.cracks, **place)
 
     def _put_image(self, image: NDArray[np.float32], grid: HrGrid) -> None:
         self.grid, self.shape = grid, image.shape

@@ -1,0 +1,230 @@
+"""Pictures of one cell: reconstructed with the settings of the sliders, or bicubic. No Qt."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import typical_prior_weight
+from pv_inspect.layout import HrGrid
+from pv_inspect.pipeline import Inspection
+from pv_inspect.preview import Preview, Region, bent
+from pv_inspect.reconstruction import bicubic
+from pv_inspect.registration import Registration
+from pv_inspect.settings import Settings
+
+__all__ = [
+    "CellPicture",
+    "CellRenderer",
+    "best_frame",
+    "bicubic_cell",
+    "default_cell",
+    "lambda_in_use",
+    "registration_for",
+    "run_cell",
+]
+
+Image = NDArray[np.float32]
+Cell = tuple[int, int]
+
+# Solver steps to the first picture: by then it differs from its end by a percent or so.
+FIRST_STEPS = 12
+# And while a slider moves on: the next picture begins where this one ends.
+HURRIED_STEPS = 4
+# Seconds between the pictures that follow while it gets better.
+BETWEEN = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class CellPicture:
+    """A cell as it looks in some way.
+
+    Attributes
+    ----------
+    image : (height, width) float32
+        Without margin, full scale = 1.
+    cell : (row, col)
+    caption : str
+        What was used, for a person.
+    settings : Settings or None
+        None: not reconstructed for these settings (bicubic).
+    finished : bool
+        False: an early picture that will be replaced.
+    """
+
+    image: Image
+    cell: Cell
+    caption: str
+    settings: Settings | None = None
+    finished: bool = True
+
+
+class CellRenderer:
+    """Reconstructs cells of one inspection; keeps what a change of the settings leaves valid."""
+
+    def __init__(self) -> None:
+        self._known: tuple[object, object] = (None, None)
+        self._base: Preview | None = None
+        self._moved_for: tuple[object, ...] = ()
+        self._preview: Preview | None = None
+
+    def pictures(
+        self,
+        inspection: Inspection,
+        cell: Cell,
+        settings: Settings,
+        hurry: Callable[[], bool] = lambda: False,
+    ) -> Iterator[CellPicture | None]:
+        """Reconstruct a cell.
+
+        Parameters
+        ----------
+        hurry : callable
+            Whether somebody waits for another picture.
+
+        Yields
+        ------
+        CellPicture or None
+            A picture when one is due, else None: a chance to give up.
+
+        Raises
+        ------
+        InspectionError
+            If no frame shows the cell, or the geometry does not allow it.
+        """
+        begun = shown_at = perf_counter()
+        preview = self._preview_for(inspection, settings)
+        yield None
+        weight = lambda_in_use(inspection, settings)
+        used = settings if weight is None else settings.changed(prior_weight=weight)
+        first = True
+        for state in preview.refine(Region(*cell), used):
+            now = perf_counter()
+            steps = HURRIED_STEPS if first and hurry() else FIRST_STEPS
+            due = state.iterations >= steps if first else now - shown_at > BETWEEN
+            if not (due or state.finished):
+                yield None
+                continue
+            first, shown_at = False, now
+            caption = (
+                f"{state.grid.magnification:.2f}x, lambda {state.prior_weight:.3g}, PSF "
+                f"{state.psf_sigma_lr_px:.2f} LR px, {state.iterations} steps, "
+                f"{1e3 * (now - begun):.0f} ms"
+            )
+            image = state.image[state.cell].copy()
+            yield CellPicture(image, cell, caption, settings, state.finished)
+
+    def _preview_for(self, inspection: Inspection, settings: Settings) -> Preview:
+        registration, whole = inspection.registration, inspection.reconstruction
+        assert registration is not None
+        if self._base is None or not _same(self._known, (registration, whole)):
+            self._base = Preview(inspection.sequence, registration, whole)
+            self._known = (registration, whole)
+            self._moved_for, self._preview = (), self._base
+        wanted = (settings.kappa, settings.skip_frames)
+        if wanted != self._moved_for or self._preview is None:
+            there = registration_for(inspection, settings)
+            self._preview = (
+                self._base if there is registration else (self._preview or self._base).moved(there)
+            )
+            self._moved_for = wanted
+        return self._preview
+
+
+def registration_for(inspection: Inspection, settings: Settings) -> Registration:
+    """Return the poses with the kappa and without the frames that the settings say.
+
+    Raises
+    ------
+    InspectionError
+        If no frame is left, or kappa is out of reach.
+    """
+    registration = inspection.registration
+    assert registration is not None
+    out = inspection.sequence.indices(settings.skip_frames)
+    if out and registration.used[out].any():
+        used = registration.used.copy()
+        used[out] = False
+        if not used.any():
+            raise InspectionError("All frames are left out: use at least one.")
+        registration = replace(registration, used=used)
+    kappa = settings.kappa
+    if kappa is not None and abs(kappa - registration.camera.kappa) > 1e-9:
+        registration = bent(registration, kappa)
+    return registration
+
+
+def default_cell(inspection: Inspection) -> Cell:
+    """Return the cell that is looked at first: with the highest crack score, else the middle."""
+    if inspection.cracks is not None and inspection.cracks.cells:
+        worst = max(inspection.cracks.cells, key=lambda cell: cell.crack_score)
+        return worst.row, worst.col
+    return inspection.layout.rows // 2, inspection.layout.cols // 2
+
+
+def run_cell(inspection: Inspection, cell: Cell) -> CellPicture | None:
+    """Return a cell of the last whole run, None without one."""
+    made = inspection.reconstruction
+    if made is None:
+        return None
+    caption = f"{made.grid.magnification:.2f}x, lambda {made.prior_weight:.3g}"
+    return CellPicture(made.image[made.grid.cell_slices(*cell)], cell, caption)
+
+
+def best_frame(inspection: Inspection, cell: Cell) -> int:
+    """Return the frame that a cell is seen in whole and that agrees best with the module image.
+
+    Raises
+    ------
+    InspectionError
+        If no frame in use shows the whole cell.
+    """
+    registration = inspection.registration
+    assert registration is not None
+    height, width = inspection.sequence.shape
+    row, col = cell
+    down = 1.0 / inspection.layout.cell_aspect
+    corners = np.array(
+        [[col + dx, (row + dy) * down] for dx in (0.0, 1.0) for dy in (0.0, 1.0)], dtype=np.float64
+    )
+    best, least = -1, np.inf
+    for i in np.flatnonzero(registration.used):
+        px = registration.camera.project(registration.homographies[i], corners)
+        inside = np.isfinite(px).all() and (px >= 0).all() and (px <= (width - 1, height - 1)).all()
+        rms = float(np.nan_to_num(registration.rms[i], nan=1e9))
+        if inside and rms < least:
+            best, least = int(i), rms
+    if best < 0:
+        raise InspectionError("No frame in use shows this cell as a whole: choose another cell.")
+    return best
+
+
+def bicubic_cell(inspection: Inspection, cell: Cell, magnification: float) -> CellPicture:
+    """Rectify a cell from its best frame: what there is without super-resolution."""
+    registration = inspection.registration
+    assert registration is not None
+    frame = best_frame(inspection, cell)
+    whole = HrGrid.covering(inspection.layout, registration.lr_px_per_unit, magnification)
+    grid = whole.window(*whole.cell_slices(*cell))
+    image = bicubic(inspection.sequence, registration, grid, frame)
+    return CellPicture(image, cell, inspection.sequence.names[frame])
+
+
+def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | None:
+    """Return the user's lambda, or the one that stands for the automatic one until the next run."""
+    if settings.prior_weight is not None or inspection is None:
+        return settings.prior_weight
+    made = inspection.reconstruction
+    # What was found for one prior means nothing to another.
+    if made is None or settings.prior != inspection.settings.prior:
+        return typical_prior_weight(settings.prior)
+    return made.prior_weight
+
+
+def _same(a: tuple[object, ...], b: tuple[object, ...]) -> bool:
+    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))

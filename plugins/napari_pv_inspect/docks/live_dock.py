@@ -1,0 +1,176 @@
+"""The dock *Live cell*: the selected cell follows the sliders, beside what it is compared with."""
+
+from __future__ import annotations
+
+from napari.components import ViewerModel
+from qtpy.QtCore import Qt
+from qtpy.QtGui import QHideEvent, QShowEvent
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from napari_pv_inspect.appearance import contrast_limits
+from napari_pv_inspect.cell_renderer import CellPicture
+from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
+from napari_pv_inspect.docks.trial_list import TrialList
+from napari_pv_inspect.live_cell import Source
+from napari_pv_inspect.workbench import Workbench
+from pv_inspect.pipeline import Inspection
+
+__all__ = ["LiveDock"]
+
+NEED_A_RUN = "Run once first: the live cell needs to know where the frames lie on the module."
+
+
+class LiveDock(QWidget):
+    """Live view, comparison and the trials."""
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        super().__init__()
+        self.bench = bench = Workbench.of(napari_viewer)
+        self._live = bench.live_cell
+        self._picture: CellPicture | None = None
+        self._limits: tuple[float, float] | None = None
+        self.view = SwipeView()
+        self.source = QComboBox()
+        self.source.setToolTip("What is shown left of the divider.")
+        for source in Source:
+            self.source.addItem(source.value, source)
+        self.flicker = QCheckBox("Flicker")
+        self.flicker.setToolTip("Show both in turns, twice a second: the eye catches what differs.")
+        self.contrast = QPushButton("Contrast")
+        self.contrast.setToolTip("Fit black and white to this cell; both pictures share them.")
+        self.caption = QLabel()
+        self.caption.setWordWrap(True)
+        self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.trials = TrialList(bench.tuning)
+        bar, below = QHBoxLayout(), QHBoxLayout()
+        bar.addWidget(QLabel("Against"))
+        bar.addWidget(self.source, 1)
+        below.addWidget(self.flicker, 1)
+        below.addWidget(self.contrast)
+        top = QWidget()
+        column = QVBoxLayout(top)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addLayout(bar)
+        column.addWidget(self.view, 1)
+        column.addLayout(below)
+        column.addWidget(self.caption)
+        parts = QSplitter(Qt.Orientation.Vertical)
+        parts.addWidget(top)
+        parts.addWidget(self.trials)
+        parts.setStretchFactor(0, 3)
+        parts.setStretchFactor(1, 2)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(4, 4, 4, 4)
+        layout.addWidget(parts)
+        self.setMinimumWidth(300)
+        self.source.activated.connect(self._on_change)
+        self.flicker.toggled.connect(self.view.set_flicker)
+        self.contrast.clicked.connect(self._on_contrast)
+        self.trials.chosen.connect(self._on_chosen)
+        self._live.pictured.connect(self._on_picture)
+        self._live.reference_ready.connect(self._on_change)
+        self._live.failed.connect(self._on_failure)
+        listen(bench.model.inspection_changed, self._on_inspection)
+        listen(bench.model.cell_selected, self._on_cell)
+        listen(bench.tuning.changed, self._on_change)
+        self._on_inspection(bench.model.inspection)
+
+    def showEvent(self, event: QShowEvent) -> None:  # noqa: N802 (Qt's name)
+        """Compute while it is seen."""
+        super().showEvent(event)
+        self._live.set_active(True)
+
+    def hideEvent(self, event: QHideEvent) -> None:  # noqa: N802 (Qt's name)
+        """Compute nothing for nobody."""
+        super().hideEvent(event)
+        self._live.set_active(False)
+
+    def choose_source(self, source: Source) -> None:
+        """Choose what to compare with."""
+        self.source.setCurrentIndex([*Source].index(source))
+        self._on_change()
+
+    def _on_picture(self, picture: CellPicture) -> None:
+        if self._picture is None or self._picture.cell != picture.cell:
+            self._limits = None
+        self._picture = picture
+        if self._limits is None:
+            self._limits = contrast_limits(picture.image)
+        self.view.show_message("")
+        row, col = picture.cell
+        self.caption.setText(f"Row {row + 1}, column {col + 1}: {picture.caption}{self._note()}")
+        self._on_change()
+
+    def _on_change(self, _: object = None) -> None:
+        """Show what there is now, on both sides."""
+        if self._picture is None or self._limits is None:
+            return
+        source, chosen = self.source.currentData(), self.trials.selected
+        after, after_text = self._picture, "live"
+        if source is Source.CHOSEN and len(chosen) == 2:
+            second = self._live.reference(Source.CHOSEN, chosen[1])
+            if second is not None:
+                after, after_text = second, chosen[1].title
+        trial = chosen[0] if chosen else None
+        before = self._live.reference(source, trial)
+        text = source.value
+        if source is Source.CHOSEN and trial is not None:
+            text = trial.title
+        elif source is Source.BICUBIC and before is not None:
+            text = f"bicubic, {before.caption}"
+        image = None if before is None else grey_image(before.image, self._limits)
+        self.view.show_before(image, text)
+        self.view.show_after(grey_image(after.image, self._limits), after_text)
+
+    def _on_chosen(self) -> None:
+        if self.trials.selected and self.source.currentData() is not Source.CHOSEN:
+            self.source.setCurrentIndex([*Source].index(Source.CHOSEN))
+        self._on_change()
+
+    def _on_contrast(self) -> None:
+        if self._picture is not None:
+            self._limits = contrast_limits(self._picture.image)
+            self._on_change()
+
+    def _on_cell(self, _: object) -> None:
+        self.view.show_message("")
+
+    def _on_failure(self, text: str) -> None:
+        self.caption.setText(text)
+
+    def _on_inspection(self, _: Inspection | None) -> None:
+        if self._live.cell is None:
+            self._picture = None
+            self.view.show_before(None, "")
+            self.view.show_after(None, "")
+            self.view.show_message(NEED_A_RUN)
+            self.caption.clear()
+
+    def _note(self) -> str:
+        """What the live cell leaves out, in a sentence."""
+        model = self.bench.model
+        inspection, settings = model.inspection, model.settings
+        if inspection is None:
+            return ""
+        notes = []
+        if inspection.reconstruction is None:
+            notes.append("Before the first whole run PSF and lambda are typical values.")
+        registration = inspection.registration
+        bends = settings.kappa is not None and registration is not None
+        if bends and abs(settings.kappa - registration.camera.kappa) > 1e-9:
+            notes.append("Poses refitted to the grid for this kappa, not registered again.")
+        stopped = inspection.settings.motion_blur == "none" and settings.motion_blur == "auto"
+        if stopped:
+            notes.append("Motion blur is estimated by the next run only.")
+        return "".join(f" {note}" for note in notes)

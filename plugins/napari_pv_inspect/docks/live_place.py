@@ -1,0 +1,61 @@
+"""Where the dock *Live cell* stands: between the canvas and the controls."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
+
+from napari_pv_inspect.docks.live_dock import LiveDock
+from napari_pv_inspect.workbench import Workbench
+
+__all__ = ["show_live_cell"]
+
+# Of the window that the live cell takes, px and share of its width.
+MIN_WIDTH, SHARE = 300, 0.26
+
+
+def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
+    """Show the live cell left of the controls, or bring it back.
+
+    Parameters
+    ----------
+    bench : Workbench
+    controls : QWidget
+        The widget in whose dock the sliders are.
+    """
+    window = bench.viewer.window
+    for place in window._qt_window.findChildren(QDockWidget):
+        live = place.findChild(LiveDock)
+        if live is not None:
+            place.show()
+            place.raise_()
+            return live
+    live = LiveDock(bench.viewer)
+    place = window.add_dock_widget(live, name="Live cell", area="right")
+    beside = _dock_of(controls)
+    if beside is not None and not beside.isFloating():
+        window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+        # Qt resizes docks only once they have been laid out; no dock, no call.
+        QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
+    # With two docks beside each other the full height is of more use than a wide gallery.
+    window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
+    bench.fit_view()
+    return live
+
+
+def _dock_of(widget: QWidget) -> QDockWidget | None:
+    parent = widget.parentWidget()
+    while parent is not None and not isinstance(parent, QDockWidget):
+        parent = parent.parentWidget()
+    return parent
+
+
+def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
+    wanted = max(MIN_WIDTH, round(SHARE * window.width()))
+    animated = window.isAnimated()
+    # The view is fitted to the canvas right after: it has to have its size by then.
+    window.setAnimated(False)
+    window.resizeDocks([place, beside], [wanted, beside.width()], Qt.Orientation.Horizontal)
+    window.setAnimated(animated)

@@ -1,0 +1,61 @@
+"""Takes folders and stacks that are dropped on the window, before napari asks which reader to use.
+
+napari's own readers take folders and TIFF files as well, so that it would open a dialog. With Alt,
+which is napari's key for that choice, the drop is left to napari.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtGui import QDropEvent, QGuiApplication
+from qtpy.QtWidgets import QWidget
+
+from napari_pv_inspect.reader import get_reader
+
+__all__ = ["DropTaker"]
+
+
+class DropTaker(QObject):
+    """Hands drops on a widget, and on all that lie on it, to the workbench.
+
+    Parameters
+    ----------
+    target : QWidget
+        The canvas area of a napari window.
+    take : callable
+        Opens one path or a list of frames.
+    """
+
+    def __init__(self, target: QWidget, take: Callable[[Any], None]) -> None:
+        super().__init__(target)
+        self._take: Callable[[Any], None] | None = take
+        for widget in (target, *target.findChildren(QWidget)):
+            if widget.acceptDrops():
+                widget.installEventFilter(self)
+
+    def close(self) -> None:
+        """Leave all drops to napari again."""
+        self._take = None
+
+    def eventFilter(self, _: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+        """Take a drop that our reader knows how to read."""
+        if self._take is None or not isinstance(event, QDropEvent):
+            return False
+        if event.type() != QEvent.Type.Drop:
+            return False
+        alt = Qt.KeyboardModifier.AltModifier
+        if QGuiApplication.keyboardModifiers() & alt or event.modifiers() & alt:
+            return False
+        urls = event.mimeData().urls()
+        paths = [url.toLocalFile() for url in urls if url.isLocalFile()]
+        if not paths or len(paths) != len(urls):
+            return False
+        given = paths[0] if len(paths) == 1 else paths
+        if get_reader(given) is None:
+            return False
+        event.acceptProposedAction()
+        self._take(given)
+        return True

@@ -1,0 +1,109 @@
+"""What the frame list says of every frame, and what a tick in it does. No Qt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pv_inspect.pipeline import Inspection
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
+
+__all__ = ["FrameRow", "frame_rows", "ticked"]
+
+
+@dataclass(frozen=True)
+class FrameRow:
+    """One frame.
+
+    Parameters
+    ----------
+    name : str
+    grid_px : float
+        Distance of the measured crossing points from the fitted grid (RMS), LR px; NaN: unknown.
+    residual : float
+        Against the module image, in units of the noise; NaN: unknown.
+    motion_px : float
+        Length of the motion blur, LR px; NaN: unknown.
+    used : bool or None
+        None: not known yet.
+    fate : str
+        "used", or why it is not.
+    wanted : bool
+        The tick: whether the next run is going to use it, as far as is known.
+    """
+
+    name: str
+    grid_px: float
+    residual: float
+    motion_px: float
+    used: bool | None
+    fate: str
+    wanted: bool
+
+
+def frame_rows(
+    sequence: Sequence | None, inspection: Inspection | None, settings: Settings
+) -> tuple[FrameRow, ...]:
+    """Return one row for every frame of the sequence."""
+    if sequence is None:
+        return ()
+    skipped, kept = set(settings.skip_frames), set(settings.keep_frames)
+    rows = []
+    for i, name in enumerate(sequence.names):
+        used, why = _used(inspection, i)
+        by_hand = _left_out_by_hand(inspection, name)
+        wanted = name not in skipped and (name in kept or by_hand or used is not False)
+        grid, residual, motion = _numbers(inspection, i)
+        told = "left out by you" if by_hand else f"rejected: {why}" if why else "rejected"
+        fate = _fate(used, told, wanted)
+        rows.append(FrameRow(name, grid, residual, motion, used, fate, wanted))
+    return tuple(rows)
+
+
+def ticked(settings: Settings, row: FrameRow, wanted: bool) -> Settings:
+    """Return the settings after the tick of a row was set or taken away."""
+    skip = [name for name in settings.skip_frames if name != row.name]
+    keep = [name for name in settings.keep_frames if name != row.name]
+    was_skipped = row.name in settings.skip_frames
+    if not wanted and not (row.used is False and row.name in settings.keep_frames):
+        skip.append(row.name)
+    if wanted and not was_skipped and row.used is False:
+        keep.append(row.name)
+    return settings.changed(skip_frames=tuple(skip), keep_frames=tuple(keep))
+
+
+def _used(inspection: Inspection | None, i: int) -> tuple[bool | None, str]:
+    if inspection is None:
+        return None, ""
+    poses = inspection.registration or inspection.calibration
+    if poses is not None:
+        return bool(poses.used[i]), poses.why[i]
+    if inspection.crossings is not None and (why := inspection.crossings.frames[i].why):
+        return False, why
+    return None, ""
+
+
+def _left_out_by_hand(inspection: Inspection | None, name: str) -> bool:
+    return inspection is not None and name in inspection.settings.skip_frames
+
+
+def _numbers(inspection: Inspection | None, i: int) -> tuple[float, float, float]:
+    grid = residual = motion = float("nan")
+    if inspection is None:
+        return grid, residual, motion
+    if inspection.calibration is not None:
+        grid = float(inspection.calibration.rms_px[i])
+    if inspection.registration is not None:
+        residual = float(inspection.registration.rms[i])
+        made = inspection.reconstruction
+        if made is not None and inspection.registration.used[i]:
+            motion = float(made.motion[i][0])
+    return grid, residual, motion
+
+
+def _fate(used: bool | None, told: str, wanted: bool) -> str:
+    if used is None:
+        return "" if wanted else "left out from the next run on"
+    if used:
+        return "used" if wanted else "used; left out from the next run on"
+    return f"{told}; the next run tries it" if wanted else told

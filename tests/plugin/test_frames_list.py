@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import QModelIndex, QPoint, Qt
+
+from napari_pv_inspect.docks.frames_box import GRID, NAME, STATUS
+from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
+from napari_pv_inspect.model import RunState
+from pv_inspect.pipeline import Inspection
+from pv_inspect.registration import LEFT_OUT
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
+
+TICK = Qt.ItemDataRole.CheckStateRole
+
+
+def with_fate(inspection: Inspection, frame: int, why: str, settings: Settings) -> Inspection:
+    assert inspection.registration is not None
+    used = inspection.registration.used.copy()
+    used[frame] = False
+    reasons = tuple(why if i == frame else w for i, w in enumerate(inspection.registration.why))
+    fate = replace(inspection.registration, used=used, why=reasons)
+    return replace(inspection, registration=fate, settings=settings)
+
+
+def rows(sequence: Sequence, inspection: Inspection | None, settings: Settings) -> list[FrameRow]:
+    return list(frame_rows(sequence, inspection, settings))
+
+
+def test_before_a_run_every_frame_is_wanted_and_nothing_is_known(
+    tiny_sequence: Sequence, tiny_settings: Settings
+) -> None:
+    for row in rows(tiny_sequence, None, tiny_settings):
+        assert row.used is None
+        assert row.wanted
+        assert np.isnan([row.grid_px, row.residual, row.motion_px]).all()
+
+
+def test_the_numbers_are_those_of_the_inspection(
+    tiny_sequence: Sequence, tiny_inspection: Inspection
+) -> None:
+    row = rows(tiny_sequence, tiny_inspection, tiny_inspection.settings)[2]
+    assert tiny_inspection.calibration is not None
+    assert tiny_inspection.registration is not None
+    assert tiny_inspection.reconstruction is not None
+    assert row.grid_px == tiny_inspection.calibration.rms_px[2]
+    assert row.residual == tiny_inspection.registration.rms[2]
+    assert row.motion_px == tiny_inspection.reconstruction.motion[2][0]
+    assert row.fate == "used"
+
+
+def test_a_used_frame_is_left_out_and_taken_back(
+    tiny_sequence: Sequence, tiny_inspection: Inspection
+) -> None:
+    settings = tiny_inspection.settings
+    row = rows(tiny_sequence, tiny_inspection, settings)[1]
+    without = ticked(settings, row, wanted=False)
+    assert without.skip_frames == (row.name,)
+    row = rows(tiny_sequence, tiny_inspection, without)[1]
+    assert not row.wanted
+    assert "next run" in row.fate
+    assert ticked(without, row, wanted=True) == settings
+
+
+def test_a_rejected_frame_is_kept_and_given_back_to_the_automatic_choice(
+    tiny_sequence: Sequence, tiny_inspection: Inspection
+) -> None:
+    settings = tiny_inspection.settings
+    rejected = with_fate(tiny_inspection, 3, "shows another module", settings)
+    row = rows(tiny_sequence, rejected, settings)[3]
+    assert not row.wanted
+    assert row.fate == "rejected: shows another module"
+    keeping = ticked(settings, row, wanted=True)
+    assert keeping.keep_frames == (row.name,)
+    row = rows(tiny_sequence, rejected, keeping)[3]
+    assert row.wanted
+    assert ticked(keeping, row, wanted=False) == settings
+
+
+def test_a_frame_that_a_person_left_out_is_not_called_rejected(
+    tiny_sequence: Sequence, tiny_inspection: Inspection
+) -> None:
+    name = tiny_sequence.names[0]
+    settings = tiny_inspection.settings.changed(skip_frames=(name,))
+    left_out = with_fate(tiny_inspection, 0, LEFT_OUT, settings)
+    row = rows(tiny_sequence, left_out, settings)[0]
+    assert (row.wanted, row.fate) == (False, "left out by you")
+    back = ticked(settings, row, wanted=True)
+    assert (back.skip_frames, back.keep_frames) == ((), ())
+    assert rows(tiny_sequence, left_out, back)[0].wanted
+
+
+@pytest.fixture
+def filled(bench: Any, replayed: Any, qtbot: QtBot) -> Any:
+    _, dock, _ = bench
+    dock.show_page("Frames")
+    dock.bench.runs.start()
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    return bench
+
+
+def place(box: Any, row: int, column: int = NAME) -> QModelIndex:
+    index: QModelIndex = box.sorted.index(row, column)
+    return index
+
+
+def test_row_and_time_slider_go_together_also_when_sorted(filled: Any, qtbot: QtBot) -> None:
+    viewer, dock, _ = filled
+    box = dock.frames
+    box.view.sortByColumn(GRID, Qt.SortOrder.DescendingOrder)
+    shown = [float(place(box, i, GRID).data()) for i in range(5)]
+    assert shown == sorted(shown, reverse=True)
+    box.view.setCurrentIndex(place(box, 0))
+    assert viewer.dims.current_step[0] == box.sorted.mapToSource(place(box, 0)).row()
+    qtbot.keyClick(box.view, Qt.Key.Key_Down)
+    assert viewer.dims.current_step[0] == box.sorted.mapToSource(place(box, 1)).row()
+    for frame in (4, 0, 2):
+        viewer.dims.set_current_step(0, frame)
+        assert box.sorted.mapToSource(box.view.currentIndex()).row() == frame
+        assert viewer.dims.current_step[0] == frame
+
+
+def test_a_tick_changes_the_settings_and_can_be_undone(filled: Any) -> None:
+    _, dock, _ = filled
+    model, box = dock.bench.model, dock.frames
+    name = model.sequence.names[1]
+    box.table.setData(box.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)
+    assert model.settings.skip_frames == (name,)
+    assert box.table.index(1, NAME).data(TICK) == Qt.CheckState.Unchecked
+    assert "next run" in box.table.index(1, STATUS).data()
+    assert dock.bench.history.undo_text == f"Leave out {name}"
+    assert dock.steps.next.text() == "Run from register"
+    dock.bench.history.undo()
+    assert model.settings.skip_frames == ()
+    assert dock.steps.next.text() == "Review cells"
+    dock.bench.history.redo()
+    assert model.settings.skip_frames == (name,)
+
+
+def test_the_mouse_ticks(filled: Any, qtbot: QtBot) -> None:
+    _, dock, _ = filled
+    view = dock.frames.view
+    corner = view.visualRect(place(dock.frames, 2)).topLeft()
+    qtbot.mouseClick(view.viewport(), Qt.MouseButton.LeftButton, pos=corner + QPoint(9, 10))
+    assert dock.bench.model.settings.skip_frames == (dock.bench.model.sequence.names[2],)
+
+
+def test_another_sequence_has_no_ticks_of_the_one_before(
+    filled: Any, tiny_sequence: Sequence
+) -> None:
+    _, dock, _ = filled
+    dock.frames.table.setData(dock.frames.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)
+    dock.bench.model.open(replace(tiny_sequence))
+    assert dock.bench.model.settings.skip_frames == ()
+    assert dock.bench.history.undo_text is None

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from pytestqt.qtbot import QtBot
+
+from napari_pv_inspect.guesser import LayoutGuesser
+from napari_pv_inspect.model import WorkbenchModel
+from pv_inspect.layout import ModuleLayout
+from pv_inspect.layout_guess import LayoutGuess
+from pv_inspect.sequence import Sequence
+
+
+def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(
+    tiny_sequence: Sequence, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def guess(_: Sequence, settings: Any, inside: Any) -> LayoutGuess:
+        asked.append((settings.rows, inside))
+        return LayoutGuess(ModuleLayout(3, 4 if inside is None else 7), 0.9, ())
+
+    monkeypatch.setattr("napari_pv_inspect.guesser.guess_layout", guess)
+    model = WorkbenchModel()
+    guesser = LayoutGuesser(model)
+    model.open(replace(tiny_sequence, layout_hint={}))
+    qtbot.waitUntil(lambda: model.settings.cols == 4, timeout=5000)
+    model.change_settings(module_at=(30.0, 40.0))
+    assert model.guessing
+    qtbot.waitUntil(lambda: model.settings.cols == 7, timeout=5000)
+    assert not model.guessing
+    model.confirm_layout()
+    model.change_settings(module_at=None)
+    qtbot.wait(50)
+    assert asked == [(None, None), (None, (30.0, 40.0))]
+    guesser.close()

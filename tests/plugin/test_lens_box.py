@@ -1,0 +1,92 @@
+"""The lens box: curve over kappa, camera files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtGui import QImage
+
+from napari_pv_inspect.docks.curve_view import CurveView
+from napari_pv_inspect.kappa_curve import Curve
+
+
+@pytest.fixture
+def lens(bench: Any, replayed: Any) -> tuple[Any, Any]:
+    """Dock and lens box with a fit on the bench."""
+    _, dock, _ = bench
+    dock.bench.model.inspection = replayed.inspection
+    dock.bench.model.inspection_changed.emit(replayed.inspection)
+    return dock, dock.lens
+
+
+def test_the_curve_has_its_lowest_point_at_the_fit(lens: Any, qtbot: QtBot) -> None:
+    dock, box = lens
+    qtbot.waitUntil(lambda: box.curve.curve is not None, timeout=20_000)
+    curve = box.curve.curve
+    fitted = dock.bench.model.inspection.calibration.camera.kappa
+    assert curve.best == pytest.approx(fitted)
+    lowest = curve.kappas[np.nanargmin(curve.rms_px)]
+    # A tiny module tells kappa to a step of the curve.
+    assert abs(lowest - fitted) <= 0.1
+    assert curve.at(fitted) <= np.nanmax(curve.rms_px)
+
+
+def test_the_mark_follows_the_slider_and_fit_brings_it_back(lens: Any) -> None:
+    dock, box = lens
+    fitted = dock.bench.model.inspection.calibration.camera.kappa
+    assert box.curve.kappa == pytest.approx(fitted)
+    box.kappa.number.setValue(0.123)
+    assert box.curve.kappa == pytest.approx(0.123)
+    box.fit.click()
+    assert box.curve.kappa == pytest.approx(fitted)
+
+
+def test_the_drawing_shows_curve_and_marks(qtbot: QtBot) -> None:
+    view = CurveView()
+    qtbot.addWidget(view)
+    view.resize(240, 90)
+    empty = view.grab().toImage()
+    kappas = np.linspace(-0.6, 0.6, 25)
+    view.show_curve(Curve(kappas, np.where(kappas < -0.5, np.nan, kappas**2), 0.0))
+    drawn = view.grab().toImage()
+    view.mark(0.3)
+    marked = view.grab().toImage()
+    assert colours(drawn) > colours(empty)
+    assert marked != drawn
+
+
+def colours(image: QImage) -> int:
+    return len({image.pixel(x, y) for x in range(image.width()) for y in range(image.height())})
+
+
+def test_a_saved_camera_is_loaded_named_and_cleared(lens: Any, tmp_path: Path) -> None:
+    dock, box = lens
+    model = dock.bench.model
+    path = tmp_path / "lens.yaml"
+    box.save_camera(path)
+    box.kappa.number.setValue(0.2)
+    box.load_camera(path)
+    assert model.settings.calibration_file == path
+    assert model.settings.kappa is None
+    assert "lens.yaml" in box.file.text()
+    assert not box.clear.isHidden()
+    box.clear.click()
+    assert model.settings.calibration_file is None
+    assert box.file.isHidden()
+
+
+def test_a_useless_camera_file_is_one_sentence(lens: Any, tmp_path: Path) -> None:
+    dock, box = lens
+    told: list[tuple[str, bool]] = []
+    dock.bench.model.noticed.connect(lambda text, bad: told.append((text, bad)))
+    path = tmp_path / "wrong.yaml"
+    path.write_text("nothing: 1\n")
+    box.load_camera(path)
+    box.save_camera(tmp_path / "missing" / "camera.yaml")
+    assert [bad for _, bad in told] == [True, True]
+    assert "camera matrix" in told[0][0]
+    assert dock.bench.model.settings.calibration_file is None

@@ -1,0 +1,315 @@
+"""The live cell in a real window: it follows the sliders and is compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from qtpy.QtCore import QPoint, QPointF, QSize, Qt
+from qtpy.QtGui import QImage
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QDockWidget
+
+from napari_pv_inspect.cell_renderer import (
+    CellRenderer,
+    best_frame,
+    bicubic_cell,
+    default_cell,
+    registration_for,
+    run_cell,
+)
+from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.docks.lambda_plot import LambdaPlot
+from napari_pv_inspect.docks.live_dock import LiveDock
+from napari_pv_inspect.docks.live_place import show_live_cell
+from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
+from napari_pv_inspect.live_cell import Source
+from pv_inspect.errors import InspectionError
+from pv_inspect.held_out import typical_prior_weight
+from pv_inspect.pipeline import Inspection
+from pv_inspect.settings import Settings
+
+LONG_MS = 30_000
+Bench = tuple[Any, InspectDock, CellsDock]
+
+
+@pytest.fixture
+def live(bench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[InspectDock, LiveDock]:
+    """The workbench with a whole inspection and the live cell open."""
+    _, dock, _ = bench
+    model = dock.bench.model
+    model.inspection = tiny_inspection
+    model.inspection_changed.emit(tiny_inspection)
+    shown = show_live_cell(dock.bench, dock)
+    dock.bench.live_cell.set_active(True)
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    return dock, shown
+
+
+def has_ended(live: LiveDock) -> bool:
+    picture = live._picture
+    return (
+        picture is not None and picture.finished and picture.settings == live.bench.model.settings
+    )
+
+
+def settled(qtbot: Any, live: LiveDock) -> None:
+    qtbot.waitUntil(lambda: has_ended(live), timeout=LONG_MS)
+    live.bench.live_cell.settle()
+
+
+def test_the_first_cell_is_the_most_suspicious_one(tiny_inspection: Inspection) -> None:
+    cell = default_cell(tiny_inspection)
+    assert tiny_inspection.cracks is not None
+    scores = {(c.row, c.col): c.crack_score for c in tiny_inspection.cracks.cells}
+    assert scores[cell] == max(scores.values())
+    assert default_cell(replace(tiny_inspection, cracks=None)) == (1, 2)
+
+
+def test_all_pictures_of_a_cell_show_the_same_place(
+    tiny_inspection: Inspection, tiny_settings: Settings
+) -> None:
+    cell = (1, 1)
+    run = run_cell(tiny_inspection, cell)
+    assert run is not None
+    *_, live = (p for p in CellRenderer().pictures(tiny_inspection, cell, tiny_settings) if p)
+    plain = bicubic_cell(tiny_inspection, cell, tiny_settings.magnification)
+    assert live.finished
+    assert live.image.shape == run.image.shape == plain.image.shape
+    for other in (live, plain):
+        assert np.corrcoef(run.image.ravel(), other.image.ravel())[0, 1] > 0.8
+
+
+def test_frames_left_out_and_kappa_change_the_geometry_of_the_live_cell(
+    tiny_inspection: Inspection, tiny_settings: Settings
+) -> None:
+    names = tiny_inspection.sequence.names
+    there = registration_for(tiny_inspection, tiny_settings.changed(skip_frames=names[:2]))
+    assert not there.used[:2].any()
+    assert there.used[2:].any()
+    bent = registration_for(tiny_inspection, tiny_settings.changed(kappa=0.01))
+    assert bent.camera.kappa == 0.01
+    with pytest.raises(InspectionError, match="All frames are left out"):
+        registration_for(tiny_inspection, tiny_settings.changed(skip_frames=names))
+
+
+def test_the_best_frame_shows_the_whole_cell(tiny_inspection: Inspection) -> None:
+    assert tiny_inspection.registration is not None
+    frame = best_frame(tiny_inspection, (0, 0))
+    assert tiny_inspection.registration.used[frame]
+
+
+def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
+    dock, shown = live
+    before = shown._picture
+    dock.image.prior_weight.slider.setValue(390)
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    assert shown._picture is not before
+    assert "lambda" in shown.caption.text()
+
+
+def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    for position in (300, 320, 340):
+        dock.image.prior_weight.slider.setValue(position)
+    settled(qtbot, shown)
+    assert len(dock.bench.tuning.trials) == 2
+    assert shown.trials.trials.rowCount() == 2
+    assert shown.trials.view.model().index(1).data().startswith("lambda")
+    dock.bench.history.undo()
+    assert dock.bench.model.settings.prior_weight is None
+    assert dock.image.automatic.isChecked()
+
+
+@pytest.mark.parametrize("source", [Source.BICUBIC, Source.PREVIOUS, Source.RUN, Source.CHOSEN])
+def test_it_is_compared_with(
+    source: Source, live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    dock.bench.model.change_settings(prior_weight=5.0)
+    settled(qtbot, shown)
+    shown.trials.view.setCurrentIndex(shown.trials.trials.index(0))
+    shown.choose_source(source)
+    qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None, timeout=LONG_MS)
+    shown.choose_source(Source.NOTHING)
+    assert shown.view._pictures[0][0] is None
+
+
+def test_a_trial_of_another_cell_is_rendered_for_this_one(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    trial = dock.bench.tuning.trials[0]
+    other = (2, 3) if trial.picture.cell != (2, 3) else (0, 0)
+    dock.bench.model.select_cell(other)
+    qtbot.waitUntil(lambda: shown._picture.cell == other, timeout=LONG_MS)
+    cell = dock.bench.live_cell
+    qtbot.waitUntil(lambda: cell.reference(Source.CHOSEN, trial) is not None, timeout=LONG_MS)
+    assert cell.reference(Source.CHOSEN, trial).cell == other
+
+
+def test_a_trial_is_named_in_place(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    index = shown.trials.trials.index(0)
+    assert shown.trials.trials.setData(index, "good")
+    assert index.data() == "good"
+    dock.bench.history.undo()
+    assert index.data() == "first look"
+
+
+def test_two_selected_trials_are_compared_with_each_other(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    dock.bench.model.change_settings(prior_weight=5.0)
+    settled(qtbot, shown)
+    shown.trials.view.selectAll()
+    assert shown.source.currentData() is Source.CHOSEN
+    assert [text for _, text in shown.view._pictures] == ["first look", "lambda 5"]
+
+
+def test_it_computes_only_while_it_is_seen(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
+    dock, shown = live
+    dock.bench.live_cell.set_active(False)
+    before = shown._picture
+    dock.bench.model.change_settings(prior_weight=7.0)
+    qtbot.wait(300)
+    assert shown._picture is before
+    dock.bench.live_cell.set_active(True)
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+
+
+def test_a_geometry_out_of_reach_is_one_sentence(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    names = dock.bench.model.sequence.names
+    dock.bench.model.change_settings(skip_frames=names)
+    qtbot.waitUntil(lambda: "All frames are left out" in shown.caption.text(), timeout=LONG_MS)
+
+
+def test_without_a_run_it_says_what_is_needed(bench: Bench) -> None:
+    _, dock, _ = bench
+    shown = show_live_cell(dock.bench, dock)
+    assert "Run once first" in shown.view._message
+    assert show_live_cell(dock.bench, dock) is shown
+
+
+def test_the_window_closes_while_the_live_cell_is_at_work(
+    live: tuple[InspectDock, LiveDock],
+) -> None:
+    dock, _ = live
+    dock.bench.model.change_settings(prior_weight=3.0)
+    dock.bench.close()
+    dock.bench.model.change_settings(prior_weight=4.0)
+
+
+def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    dock.bench.model.change_settings(prior="tikhonov")
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    expected = typical_prior_weight("tikhonov")
+    assert f"lambda {expected:.3g}" in shown.caption.text()
+    assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
+
+
+def test_presets_go_through_the_page(live: tuple[InspectDock, LiveDock], tmp_path: Path) -> None:
+    dock, _ = live
+    model = dock.bench.model
+    model.change_settings(prior="btv", psf_sigma_lr_px=0.5)
+    dock.image.save_preset(tmp_path / "mine")
+    model.change_settings(prior="wbtv", psf_sigma_lr_px=None)
+    dock.image.load_preset(tmp_path / "mine.toml")
+    assert (model.settings.prior, model.settings.psf_sigma_lr_px) == ("btv", 0.5)
+    assert dock.image.prior.currentData() == "btv"
+    assert not dock.image.estimated.isChecked()
+    said: list[str] = []
+    model.noticed.connect(lambda text, _: said.append(text))
+    dock.image.load_preset(tmp_path / "none.toml")
+    assert "can't be read" in said[-1]
+
+
+def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) -> None:
+    dock, _ = live
+    plot = dock.image.plot
+    at = QPointF(plot.x_of(0.5), plot.height() / 2)
+    QTest.mouseClick(plot, Qt.MouseButton.LeftButton, pos=at.toPoint())
+    assert dock.bench.model.settings.prior_weight == pytest.approx(0.5, rel=0.1)
+    assert dock.bench.history.undo_text == "Change lambda"
+
+
+def test_the_axis_of_lambda_is_logarithmic_and_inverts(
+    make_napari_viewer: Callable[..., Any],
+) -> None:
+    make_napari_viewer()
+    plot = LambdaPlot()
+    plot.resize(300, 112)
+    plot.show_curve(((0.1, 1.2), (1.0, 1.0), (10.0, 1.5)), 1.0)
+    assert plot.x_of(1.0) - plot.x_of(0.1) == pytest.approx(plot.x_of(10.0) - plot.x_of(1.0))
+    assert plot.weight_at(plot.x_of(0.5)) == pytest.approx(0.5, rel=0.01)
+    assert plot.x_of(1e9) == plot.x_of(15.0)
+    plot.grab()
+
+
+def test_the_divider_parts_the_two_pictures(make_napari_viewer: Callable[..., Any]) -> None:
+    make_napari_viewer()
+    view = SwipeView()
+    view.resize(200, 200)
+    view.show_before(grey_image(np.zeros((50, 50), np.float32), (0.0, 1.0)), "")
+    view.show_after(grey_image(np.ones((50, 50), np.float32), (0.0, 1.0)), "")
+    QTest.mouseClick(view, Qt.MouseButton.LeftButton, pos=QPoint(60, 150))
+    assert view.divider == pytest.approx(0.3, abs=0.02)
+    assert (grey_at(view, 20), grey_at(view, 150)) == (0, 255)
+    QTest.keyPress(view, Qt.Key.Key_Space)
+    assert grey_at(view, 150) == 0
+    QTest.keyRelease(view, Qt.Key.Key_Space)
+    assert grey_at(view, 150) == 255
+    view.set_flicker(True)
+    view._on_flicker()
+    assert grey_at(view, 150) == 0
+    view.set_flicker(False)
+    assert grey_at(view, 150) == 255
+
+
+def grey_at(view: SwipeView, x: int) -> int:
+    image = QImage(QSize(200, 200), QImage.Format.Format_RGB32)
+    view.render(image)
+    return int(image.pixelColor(x, 150).green())
+
+
+def test_grey_images_share_one_contrast() -> None:
+    image = grey_image(np.array([[0.0, 0.5], [1.0, 2.0]], np.float32), (0.0, 1.0))
+    assert [image.pixelColor(*at).red() for at in ((0, 0), (1, 0), (0, 1), (1, 1))] == [
+        0,
+        127,
+        255,
+        255,
+    ]
+
+
+def test_a_dock_that_was_closed_comes_back(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
+    dock, shown = live
+    place = shown.parentWidget()
+    while not isinstance(place, QDockWidget):
+        place = place.parentWidget()
+    place.destroyOnClose()
+    qtbot.wait(50)
+    dock.image.prior_weight.slider.setValue(200)
+    again = show_live_cell(dock.bench, dock)
+    assert again is not shown
+    dock.bench.live_cell.set_active(True)
+    qtbot.waitUntil(lambda: has_ended(again), timeout=LONG_MS)

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import read_result, write_result
+from pv_inspect.resume import reopen, resume
+from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings, Stage
+from tests.handmade import made_inspection
+
+
+def same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray):
+        return np.array_equal(a, b, equal_nan=True)
+    if isinstance(a, float):
+        return bool(a == b or (np.isnan(a) and np.isnan(b)))
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    if hasattr(a, "__dataclass_fields__"):
+        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return bool(a == b)
+
+
+@pytest.fixture
+def frames(tmp_path: Path) -> Path:
+    folder = tmp_path / "plant" / "module"
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(3)
+    for i in range(3):
+        image = rng.integers(500, 4000, (40, 48)).astype(np.uint16)
+        tifffile.imwrite(folder / f"frame_{i}.tif", image)
+    return folder
+
+
+def written(sequence: Any, out: Path) -> Inspection:
+    inspection = made_inspection(sequence=sequence)
+    write_result(inspection, out)
+    return inspection
+
+
+def test_every_part_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    inspection = made_inspection()
+    write_result(inspection, tmp_path / "out")
+    again = resume(read_result(tmp_path / "out"), inspection.sequence)
+    assert again.complete
+    assert same(again.crossings, inspection.crossings)
+    assert same(again.calibration, inspection.calibration)
+    assert same(again.reconstruction, inspection.reconstruction)
+    assert same(again.tiles, inspection.tiles)
+    assert again.registration is not None
+    assert inspection.registration is not None
+    used = inspection.registration.used
+    for name in ("homographies", "gain", "offset", "rms"):
+        got, want = getattr(again.registration, name), getattr(inspection.registration, name)
+        np.testing.assert_array_equal(got[used], want[used])
+    assert same(again.registration.camera, inspection.registration.camera)
+    assert again.seconds == inspection.seconds
+
+
+def test_another_lambda_needs_the_reconstruction_only(tmp_path: Path) -> None:
+    inspection = made_inspection()
+    write_result(inspection, tmp_path / "out")
+    again = resume(read_result(tmp_path / "out"), inspection.sequence)
+    assert again.stale(Settings()) == frozenset()
+    assert again.stale(Settings(prior_weight=0.2)) == {
+        Stage.RECONSTRUCT,
+        Stage.CELLS,
+        Stage.CRACKS,
+    }
+
+
+def test_a_result_without_geometry_starts_with_the_detection(tmp_path: Path) -> None:
+    inspection = made_inspection()
+    write_result(inspection, tmp_path / "out")
+    (tmp_path / "out" / "geometry.json").unlink()
+    again = resume(read_result(tmp_path / "out"), inspection.sequence)
+    assert again.reconstruction is not None
+    assert Stage.DETECT in again.stale(Settings())
+
+
+@pytest.mark.parametrize("text", ["{", "{}", '{"crossings": [{"points_px": [1]}]}'])
+def test_a_damaged_geometry_is_one_sentence(tmp_path: Path, text: str) -> None:
+    inspection = made_inspection()
+    write_result(inspection, tmp_path / "out")
+    (tmp_path / "out" / "geometry.json").write_text(text)
+    with pytest.raises(InspectionError, match=r"geometry\.json is damaged"):
+        resume(read_result(tmp_path / "out"), inspection.sequence)
+
+
+def test_the_frames_are_found_where_they_were(frames: Path, tmp_path: Path) -> None:
+    sequence = Sequence.open(frames)
+    written(sequence, tmp_path / "out")
+    assert reopen(read_result(tmp_path / "out")).names == sequence.names
+
+
+def test_a_list_of_frames_is_found_again_in_its_order(frames: Path, tmp_path: Path) -> None:
+    sequence = Sequence.open([frames / f"frame_{i}.tif" for i in (2, 0, 1)])
+    written(sequence, tmp_path / "out")
+    assert reopen(read_result(tmp_path / "out")).names == sequence.names
+
+
+def test_frames_and_result_may_move_together(frames: Path, tmp_path: Path) -> None:
+    written(Sequence.open(frames), tmp_path / "plant" / "result")
+    shutil.move(tmp_path / "plant", tmp_path / "archive")
+    found = reopen(read_result(tmp_path / "archive" / "result"))
+    assert found.source == tmp_path / "archive" / "module"
+
+
+def test_frames_that_went_away_are_one_sentence_with_their_place(
+    frames: Path, tmp_path: Path
+) -> None:
+    written(Sequence.open(frames), tmp_path / "out")
+    shutil.rmtree(frames)
+    with pytest.raises(InspectionError, match=f"no longer at {frames}"):
+        reopen(read_result(tmp_path / "out"))
+
+
+def test_other_frames_at_the_same_place_are_refused(frames: Path, tmp_path: Path) -> None:
+    written(Sequence.open(frames), tmp_path / "out")
+    (frames / "frame_1.tif").rename(frames / "frame_7.tif")
+    with pytest.raises(InspectionError, match="other frames"):
+        reopen(read_result(tmp_path / "out"))
+
+
+def test_a_result_of_an_earlier_version_does_not_know_its_frames(
+    frames: Path, tmp_path: Path
+) -> None:
+    written(Sequence.open(frames), tmp_path / "out")
+    path = tmp_path / "out" / "result.json"
+    record = json.loads(path.read_text())
+    del record["source"]
+    path.write_text(json.dumps(record))
+    with pytest.raises(InspectionError, match="no longer"):
+        reopen(read_result(tmp_path / "out"))
+
+
+def test_the_dark_frame_of_the_settings_is_used_again(frames: Path, tmp_path: Path) -> None:
+    dark = tmp_path / "dark.tif"
+    tifffile.imwrite(dark, np.full((40, 48), 300, np.uint16))
+    inspection = made_inspection(
+        sequence=Sequence.open(frames, dark), settings=Settings(dark_frame=dark)
+    )
+    write_result(replace(inspection), tmp_path / "out")
+    assert reopen(read_result(tmp_path / "out")).black_level == 300.0
