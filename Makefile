@@ -37,7 +37,7 @@ test-core: $(INSTALLED) ## tests of the core; no Qt
 	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin --durations=10
 
 test-plugin: $(INSTALLED) ## tests of the workbench without a window
-	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin --durations=5
+	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin -n 2 --durations=5
 
 test-window: $(INSTALLED) ## tests of the workbench in a real window, on a virtual screen
 ifeq ($(shell uname -s),Linux)
