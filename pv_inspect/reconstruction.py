@@ -46,9 +46,9 @@ TYPICAL_SIGMA_LR_PX = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
-_TYPICAL_STEPS = 25.0
+_TYPICAL_STEPS = 15.0
 # Solver steps to the module image that the sensor is judged by.
-_FIRST_LOOK = 10
+_FIRST_LOOK = 5
 # A finer one takes a third more steps for less than 0.05 dB.
 _TOLERANCE = 1.5e-3
 # HR rows that `bicubic` projects at a time.
@@ -217,7 +217,7 @@ def solve(
     sigma = equations.model.psf_sigma_lr_px
     problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
     told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
-    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE)
+    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE, spectral=True)
     while True:
         try:
             state = next(solver)
@@ -327,7 +327,7 @@ def _first_look(
         weight = typical_prior_weight(settings.prior)
     problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
     look = start
-    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
+    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK, spectral=True)):
         look = np.asarray(state.image, np.float32)
         yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
     steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
