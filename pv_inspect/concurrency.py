@@ -7,6 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numba
+import numpy as np
+from numba.np.ufunc.parallel import threading_layer
+
+from pv_inspect.stencil import dot
 
 __all__ = ["mapped"]
 
@@ -36,7 +40,6 @@ def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
 
 def _may_be_shared() -> bool:
     """Whether compiled code may be entered from several threads: numba's own pool forbids it."""
-    try:
-        return bool(numba.threading_layer() != "workqueue")
-    except ValueError:  # no parallel code has run yet
-        return False
+    # The layer is known only once parallel code has run.
+    dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+    return bool(threading_layer() != "workqueue")

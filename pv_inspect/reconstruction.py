@@ -48,7 +48,7 @@ _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
 _TYPICAL_STEPS = 15.0
 # Solver steps to the module image that the sensor is judged by.
-_FIRST_LOOK = 5
+_FIRST_LOOK = 10
 # A finer one takes a third more steps for less than 0.05 dB.
 _TOLERANCE = 1.5e-3
 # HR rows that `bicubic` projects at a time.
@@ -327,7 +327,7 @@ def _first_look(
         weight = typical_prior_weight(settings.prior)
     problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
     look = start
-    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK, spectral=True)):
+    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
         look = np.asarray(state.image, np.float32)
         yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
     steps = estimate_photometry(data.sequence, registration, model, look, data.motion)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
@@ -161,7 +162,7 @@ def minimise(
         if spectral:
             root = np.sqrt(scale)
             if frequencies is None:
-                frequencies = Spectral.of(lambda v: equations.apply(v) + laplacian.apply(v), root)
+                frequencies = Spectral.of(partial(_whole, equations, laplacian), root)
             p = frequencies.apply(r, root)
         else:
             np.multiply(scale, r, out=p)
@@ -197,6 +198,10 @@ def minimise(
         fall = objective[-2] - objective[-1] if rounds > 1 else np.inf
         converged = bool(change < 3.0 * tolerance and fall < tolerance * objective[-1])
     return Solution(f, laplacian, tuple(objective), iterations, converged)
+
+
+def _whole(equations: NormalEquations, laplacian: Quadratic, f: Image) -> Image:
+    return equations.apply(f) + laplacian.apply(f)
 
 
 def _step(
