@@ -42,4 +42,4 @@ def _may_be_shared() -> bool:
     """Whether compiled code may be entered from several threads: numba's own pool forbids it."""
     # The layer is known only once parallel code has run.
     dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
-    return bool(threading_layer() != "workqueue")
+    return bool(threading_layer() != "workqueue")  # type: ignore[no-untyped-call]
