@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator
+from functools import partial
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.concurrency import mapped
 from pv_inspect.crossings import Crossings, FrameCrossings, crossings_of
 from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
@@ -93,21 +96,26 @@ def detect(
     reasons: dict[int, str] = {}
     ambiguous = False
     point = inside
-    for index in range(count):
-        image = sequence.frame(index).image
-        try:
-            found[index] = _find_module(image, layout, point, first=not found)
-        except OutlineError as error:
-            reasons[index] = str(error)
-            ambiguous |= isinstance(error, TwoModulesError)
-        else:
+    index = 0
+    while index < count:
+        # A point goes with the module from frame to frame, and the first find differs.
+        together = 1 if inside is not None or not found else 2 * numba.get_num_threads()
+        frames = range(index, min(index + together, count))
+        images = [sequence.frame(k).image for k in frames]
+        look = partial(_outcome, layout=layout, inside=point, first=not found)
+        for k, outcome in zip(frames, mapped(look, images), strict=True):
+            if isinstance(outcome, OutlineError):
+                reasons[k] = str(outcome)
+                ambiguous |= isinstance(outcome, TwoModulesError)
+                continue
+            found[k] = outcome
             if inside is not None:
                 if len(found) == 1:
-                    _require_inside(inside, layout, found[index][0])
-                # The module moves from frame to frame, the point goes with it.
-                x, y = found[index][0].project(np.array([layout.size]) / 2)[0]
+                    _require_inside(inside, layout, outcome[0])
+                x, y = outcome[0].project(np.array([layout.size]) / 2)[0]
                 point = float(x), float(y)
-        yield 0.8 * (index + 1) / count
+        index = frames.stop
+        yield 0.8 * index / count
     for index in sorted(reasons):
         if not found or reasons[index].startswith(("black", "saturated")):
             continue
@@ -130,6 +138,18 @@ def detect(
             for index in range(count)
         ),
     )
+
+
+def _outcome(
+    image: NDArray[np.float32],
+    layout: ModuleLayout,
+    inside: tuple[float, float] | None,
+    first: bool,
+) -> Found | OutlineError:
+    try:
+        return _find_module(image, layout, inside, first=first)
+    except OutlineError as error:
+        return error
 
 
 def _nothing_found(

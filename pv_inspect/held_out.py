@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
+from pv_inspect.concurrency import mapped
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations
 from pv_inspect.prediction import Judge, View, equations_of, model_of, split
@@ -115,12 +117,13 @@ def choose_prior_weight(
         units of the noise; 1 is noise alone, the error of the PSF adds to it. Empty if no frame
         sees a window.
     """
-    runs = [_Run.of(camera, trial, sigma, name) for trial in trials if trial.views]
+    seen = [trial for trial in trials if trial.views]
+    runs = mapped(lambda trial: _Run.of(camera, trial, sigma, name), seen)
     runs = [run for run in runs if run.equations.n_pixels]
     candidates = CANDIDATES[name]
     scores: list[float] = []
     for k, weight in enumerate(candidates):
-        pooled = np.array([run.error(weight) for run in runs])
+        pooled = np.array(mapped(partial(_Run.error, weight=weight), runs))
         if not len(pooled) or pooled[:, 1].sum() == 0:
             return typical_prior_weight(name), ()
         scores.append(float(pooled[:, 0].sum() / pooled[:, 1].sum()))

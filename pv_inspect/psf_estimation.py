@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
+from pv_inspect.concurrency import mapped
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import detail_left
 from pv_inspect.observation import NormalEquations
@@ -101,38 +102,42 @@ def estimate_psf_sigma(
     scores: dict[tuple[float, float], float] = {}
     parts: dict[float, tuple[NormalEquations, Judge]] = {}
 
-    def judge(sigma: float, weight: float) -> float:
-        key = (sigma, weight)
-        if key not in scores:
-            if sigma not in parts:
-                model = model_of(camera, window, views, sigma)
-                parts[sigma] = equations_of(model, views, train), Judge.of(model, views, test)
-            residual = _held_out_residual(*parts[sigma], weight)
-            scores[key] = residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
-        return scores[key]
+    def score(sigma: float, weight: float) -> float:
+        if sigma not in parts:
+            model = model_of(camera, window, views, sigma)
+            parts[sigma] = equations_of(model, views, train), Judge.of(model, views, test)
+        residual = _held_out_residual(*parts[sigma], weight)
+        return residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
+
+    def judge(sigmas: list[float], weight: float) -> list[float]:
+        new = [a for a in sigmas if (a, weight) not in scores]
+        for a, value in zip(new, mapped(lambda a: score(a, weight), new), strict=True):
+            scores[a, weight] = value
+        return [scores[a, weight] for a in sigmas]
 
     def profile(weight: float, start: float) -> tuple[float, float]:
         """Best score at one weight, and its sigma: downhill in steps from a start."""
         sigma = start
         while True:
             around = [sigma + d for d in (-_STEP, 0.0, _STEP)]
-            best = int(np.argmin([judge(a, weight) for a in around]))
+            found = judge(around, weight)
+            best = int(np.argmin(found))
             if best == 1 or not _RANGE[0] < around[best] < _RANGE[1]:
-                return judge(sigma, weight), sigma
+                return found[1], sigma
             sigma = around[best]
 
     # Frames with motion blur say less of detail: the prior must weigh less by as much.
     weight = _FIRST_WEIGHT * detail_left(np.array([view.motion for view in views]))
-    score, sigma = profile(weight, _FIRST_SIGMA)
+    least, sigma = profile(weight, _FIRST_SIGMA)
     yield 0.5
     for factor in (0.5, 2.0):
         while _LEAST_WEIGHT < weight < _LARGEST_WEIGHT:
             other, at = profile(weight * factor, sigma)
             yield 0.75
-            if other >= score:
+            if other >= least:
                 break
-            score, sigma, weight = other, at, weight * factor
-    return _vertex({s: score for (s, w), score in scores.items() if w == weight})
+            least, sigma, weight = other, at, weight * factor
+    return _vertex({s: value for (s, w), value in scores.items() if w == weight})
 
 
 def _held_out_residual(equations: NormalEquations, judge: Judge, prior_weight: float) -> float:

@@ -46,7 +46,7 @@ TYPICAL_SIGMA_LR_PX = 0.45
 # Frames that the first look and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
-_TYPICAL_STEPS = 25.0
+_TYPICAL_STEPS = 15.0
 # The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
 _PSF_MAGNIFICATION = 4.0
 # Solver steps to the module image that the sensor is judged by.
@@ -219,7 +219,7 @@ def solve(
     sigma = equations.model.psf_sigma_lr_px
     problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
     told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
-    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE)
+    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE, spectral=True)
     while True:
         try:
             state = next(solver)

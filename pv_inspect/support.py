@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.observation import NormalEquations
+from pv_inspect.preconditioning import Spectral
 from pv_inspect.stencil import Quadratic, dot
 
 __all__ = ["probe", "support_of"]
@@ -101,12 +102,18 @@ def _answer(
     """R z; the diagonal is that of the equations."""
     both = diagonal + prior.diagonal
     scale = (1.0 / np.maximum(both, 1e-9 * float(both.max()))).astype(np.float32)
+    root = np.sqrt(scale)
+
+    def whole(v: NDArray[np.floating]) -> NDArray[np.floating]:
+        return equations.apply(v) + prior.apply(v)
+
+    spectral = Spectral.of(whole, root)
     u = np.zeros_like(z)
     r = np.asarray(equations.apply(z), np.float32)
-    p = scale * r
+    p = np.asarray(spectral.apply(r, root), np.float32)
     rz, power = dot(r, p), dot(z, z)
     for _ in range(_ITERATIONS):
-        full = np.asarray(equations.apply(p) + prior.apply(p), np.float32)
+        full = np.asarray(whole(p), np.float32)
         curvature = dot(p, full)
         if rz <= 0.0 or curvature <= 0.0:
             break
@@ -115,8 +122,9 @@ def _answer(
         if abs(length * dot(z, p)) < _RISE * power:
             break
         r -= np.float32(length) * full
-        new = dot(r, scale * r)
+        next_p = spectral.apply(r, root)
+        new = dot(r, next_p)
         p *= np.float32(new / rz)
-        p += scale * r
+        p += next_p
         rz = new
     return u
