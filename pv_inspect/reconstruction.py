@@ -24,7 +24,7 @@ from pv_inspect.registration import Registration
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.solver import Problem, Solution, first_guess, minimise
-from pv_inspect.support import support_of
+from pv_inspect.support import FAINT, support_of
 
 __all__ = [
     "TYPICAL_SIGMA_LR_PX",
@@ -85,7 +85,8 @@ class Reconstruction:
     image : (height, width) float32
         Intensities, full scale = 1.
     support : (height, width) float32
-        0..1: share of a detail just finer than the LR pixels that comes from the frames; see
+        0..1: share of a detail of 10 % contrast, just finer than the LR pixels, that comes from the
+        frames; see
         `pv_inspect.support`.
     grid : HrGrid
         Where the pixels lie on the module.
@@ -231,7 +232,8 @@ def solve(
         yield Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
     image = np.asarray(solution.image, np.float32)
     yield Progress(0.91, "asking what the frames have earned", image)
-    support = support_of(equations, solution.prior)
+    faint = np.float32(FAINT * problem.brightness)
+    support = support_of(equations, lambda detail: problem.majoriser(image + faint * detail))
     comparison = data.compare(image)
     n = max(int(data.registration.used.sum()), 1)
     k = 0

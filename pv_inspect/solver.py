@@ -62,6 +62,10 @@ class Problem:
         """R(f / c) with c in full-scale units."""
         return prior_named(self.prior_name, _CONTRAST * self.brightness)
 
+    def majoriser(self, image: Image) -> Quadratic:
+        """Return the prior's majoriser at an image, on the scale of the equations."""
+        return self.prior.majoriser(image, self.prior_factor / 2.0)
+
     @property
     def prior_factor(self) -> float:
         """Factor of R in the objective times M."""
@@ -75,8 +79,6 @@ class Solution:
     Parameters
     ----------
     image : (height, width) float32
-    prior : Quadratic
-        The last quadratic majoriser of the prior, on the scale of the equations.
     objective : tuple of float
         E after every majoriser.
     iterations : int
@@ -85,7 +87,6 @@ class Solution:
     """
 
     image: Image
-    prior: Quadratic
     objective: tuple[float, ...]
     iterations: int
     converged: bool
@@ -150,12 +151,12 @@ def minimise(
     objective: list[float] = []
     iterations, rounds, converged = 0, 0, False
     r, p = np.empty_like(f), np.empty_like(f)
-    laplacian = prior.majoriser(f, problem.prior_factor / 2.0)
+    laplacian = problem.majoriser(f)
     steps = _INNER_ITERATIONS_SPECTRAL if spectral else _INNER_ITERATIONS
     frequencies: Spectral | None = None
     while not converged and iterations < max_iterations:
         if rounds:
-            laplacian = prior.majoriser(f, problem.prior_factor / 2.0)
+            laplacian = problem.majoriser(f)
         before = f.copy()
         scale = 1.0 / (diagonal + laplacian.diagonal + floor)
         np.subtract(residual, laplacian.apply(f), out=r)
@@ -187,7 +188,7 @@ def minimise(
                 p += z
             rz = new
             iterations += 1
-            yield Solution(f, laplacian, tuple(objective), iterations, False)
+            yield Solution(f, tuple(objective), iterations, False)
             if rz < 1e-4 * first:
                 break
         rounds += 1
@@ -197,7 +198,7 @@ def minimise(
         change = np.sqrt(dot(before, before) / f.size) / problem.brightness
         fall = objective[-2] - objective[-1] if rounds > 1 else np.inf
         converged = bool(change < 3.0 * tolerance and fall < tolerance * objective[-1])
-    return Solution(f, laplacian, tuple(objective), iterations, converged)
+    return Solution(f, tuple(objective), iterations, converged)
 
 
 def _whole(equations: NormalEquations, laplacian: Quadratic, f: Image) -> Image:

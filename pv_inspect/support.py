@@ -3,9 +3,13 @@
 The minimiser of Eq. 7 answers to a change of the scene with ``R = (A + L)^-1 A``, A the data's
 normal operator and L the prior's majoriser: what the data say passes, the rest is held back. A
 pattern that the scene does not contain is sent through R; the share that arrives is the support.
+What L holds back depends on what is there, as a sparse prior lets pass what it takes for a
+structure: L is that of the image with as much of the pattern in it as arrives.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -15,17 +19,21 @@ from pv_inspect.observation import NormalEquations
 from pv_inspect.preconditioning import Spectral
 from pv_inspect.stencil import Quadratic, dot
 
-__all__ = ["probe", "support_of"]
+__all__ = ["FAINT", "probe", "support_of"]
 
 Image = NDArray[np.float32]
+
+FAINT = 0.1
+"""Standard deviation of the detail that support is about, in parts of the module's brightness."""
 
 # The band of the probe, cycles per LR pixel: just beyond what one frame resolves.
 _BAND = (0.55, 0.8)
 # Radius over which the answer is averaged, LR pixels.
 _WINDOW_LR_PX = 1.5
 _ITERATIONS = 40
-# The mean support rises from step to step; it is known when it rises by less than this.
-_RISE = 1e-3
+# A round ends when the mean support changes by less than this in a step.
+_CHANGE = 1e-3
+_ROUNDS = 3
 _TILE = 512
 _SEED = 7
 
@@ -57,15 +65,17 @@ def probe(shape: tuple[int, int], magnification: float) -> Image:
     return np.ascontiguousarray(np.tile(tile, repeats)[:height, :width], dtype=np.float32)
 
 
-def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
+def support_of(equations: NormalEquations, prior_with: Callable[[Image], Quadratic]) -> Image:
     """Share of a detail just finer than the LR pixels that comes from the frames.
 
     Parameters
     ----------
     equations : NormalEquations
         The data.
-    prior : Quadratic
-        Majoriser of the prior at the minimiser, on the scale of the equations.
+    prior_with : callable
+        Majoriser of the prior, on the scale of the equations, at the minimiser with a detail in it,
+        (height, width) float32 in units of the probe's standard deviation. How faint the probe is
+        is decided there: `FAINT` of the brightness of the module.
 
     Returns
     -------
@@ -75,11 +85,9 @@ def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
 
     Notes
     -----
-    With the probe z and u = R z the support is the local regression coefficient of u on z,
-    ``G * (z u) / G * z^2`` with a Gaussian window G. ``(A + L) u = A z`` is solved by conjugate
-    gradients from 0 until the mean support no longer rises: it comes out too low by about a
-    hundredth, with hardly any prior by a quarter, and never too high. The expectation over z is
-    the mean of the diagonal of R restricted to the band. Frames that all stand in the same place
+    With the probe z and what arrives of it, u, the support is the local regression coefficient of
+    u on z, ``G * (z u) / G * z^2`` with a Gaussian window G. ``(A + L(u)) u = A z`` is solved in
+    rounds of conjugate gradients, L first with all of z. Frames that all stand in the same place
     reach about 0.1: one sample per LR pixel tells a part of the band from what it aliases to.
     """
     shape = equations.model.grid.shape
@@ -87,7 +95,10 @@ def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
     z = probe(shape, magnification)
 
     diagonal = equations.diagonal
-    u = _answer(equations, prior, diagonal, z)
+    # Nothing arrives where no frame looks: the first round begins with nothing.
+    u = _answer(equations, prior_with(z), diagonal, z, np.zeros_like(z))
+    for _ in range(_ROUNDS - 1):
+        u = _answer(equations, prior_with(u), diagonal, z, u)
     sigma = _WINDOW_LR_PX * magnification
     answer = cv2.GaussianBlur(u * z, (0, 0), sigma)
     power = cv2.GaussianBlur(z * z, (0, 0), sigma)
@@ -97,9 +108,13 @@ def support_of(equations: NormalEquations, prior: Quadratic) -> Image:
 
 
 def _answer(
-    equations: NormalEquations, prior: Quadratic, diagonal: NDArray[np.floating], z: Image
+    equations: NormalEquations,
+    prior: Quadratic,
+    diagonal: NDArray[np.floating],
+    z: Image,
+    start: Image,
 ) -> Image:
-    """R z; the diagonal is that of the equations."""
+    """R z, from what it was in the round before; the diagonal is that of the equations."""
     both = diagonal + prior.diagonal
     scale = (1.0 / np.maximum(both, 1e-9 * float(both.max()))).astype(np.float32)
     root = np.sqrt(scale)
@@ -108,8 +123,8 @@ def _answer(
         return equations.apply(v) + prior.apply(v)
 
     spectral = Spectral.of(whole, root)
-    u = np.zeros_like(z)
-    r = np.asarray(equations.apply(z), np.float32)
+    u = start.copy()
+    r = np.asarray(equations.apply(z - u) - prior.apply(u), np.float32)
     p = np.asarray(spectral.apply(r, root), np.float32)
     rz, power = dot(r, p), dot(z, z)
     for _ in range(_ITERATIONS):
@@ -119,7 +134,7 @@ def _answer(
             break
         length = rz / curvature
         u += np.float32(length) * p
-        if abs(length * dot(z, p)) < _RISE * power:
+        if abs(length * dot(z, p)) < _CHANGE * power:
             break
         r -= np.float32(length) * full
         next_p = spectral.apply(r, root)

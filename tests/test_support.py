@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, minres
@@ -9,8 +11,9 @@ from scipy.sparse.linalg import LinearOperator, minres
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.prior import prior_named
-from pv_inspect.stencil import Stencil
-from pv_inspect.support import probe, support_of
+from pv_inspect.solver import Problem, minimise
+from pv_inspect.stencil import Quadratic, Stencil
+from pv_inspect.support import FAINT, probe, support_of
 from tests.recording import CAMERA, LAYOUT, NOISE, SHAPE, SIGMA, recording
 
 
@@ -35,6 +38,11 @@ def prior_of(equations: NormalEquations, strength: float) -> Stencil:
     return squares.majoriser(flat, factor)
 
 
+def same(prior: Quadratic) -> Callable[[np.ndarray], Quadratic]:
+    """A prior that does not depend on the image."""
+    return lambda _: prior
+
+
 def inner(image: np.ndarray) -> np.ndarray:
     h, w = image.shape
     return image[h // 3 : -h // 3, w // 3 : -w // 3]
@@ -51,14 +59,15 @@ def test_the_probe_holds_only_details_finer_than_the_lr_pixels() -> None:
 
 def test_without_a_prior_all_comes_from_the_frames_and_with_a_strong_one_nothing() -> None:
     equations = equations_of(moving=True)
-    assert np.median(inner(support_of(equations, prior_of(equations, 1e-3)))) > 0.7
-    assert np.median(inner(support_of(equations, prior_of(equations, 1e4)))) < 0.02
+    assert np.median(inner(support_of(equations, same(prior_of(equations, 1e-3))))) > 0.7
+    assert np.median(inner(support_of(equations, same(prior_of(equations, 1e4))))) < 0.02
 
 
 def test_support_falls_as_the_prior_gains_weight() -> None:
     equations = equations_of(moving=True)
     medians = [
-        np.median(inner(support_of(equations, prior_of(equations, s)))) for s in (0.1, 1.0, 10.0)
+        np.median(inner(support_of(equations, same(prior_of(equations, s)))))
+        for s in (0.1, 1.0, 10.0)
     ]
     assert medians[0] > medians[1] > medians[2]
 
@@ -66,14 +75,14 @@ def test_support_falls_as_the_prior_gains_weight() -> None:
 def test_frames_in_one_place_support_no_detail_beyond_their_own_resolution() -> None:
     moving, still = (equations_of(moving=m) for m in (True, False))
     prior = prior_of(moving, 0.1)
-    moved = np.median(inner(support_of(moving, prior)))
-    assert np.median(inner(support_of(still, prior))) < 0.5 * moved
+    moved = np.median(inner(support_of(moving, same(prior))))
+    assert np.median(inner(support_of(still, same(prior)))) < 0.5 * moved
 
 
 def test_support_is_what_arrives_of_a_detail_that_is_put_into_the_scene() -> None:
     equations = equations_of(moving=True)
     prior = prior_of(equations, 0.3)
-    share = support_of(equations, prior)
+    share = support_of(equations, same(prior))
     shape = equations.model.grid.shape
     z = np.roll(probe(shape, 3.0), (17, 31), axis=(0, 1))
     n = z.size
@@ -91,7 +100,34 @@ def test_support_is_what_arrives_of_a_detail_that_is_put_into_the_scene() -> Non
 
 def test_support_is_zero_where_no_frame_looks() -> None:
     equations = equations_of(moving=True)
-    share = support_of(equations, prior_of(equations, 1e-3))
+    share = support_of(equations, same(prior_of(equations, 1e-3)))
     assert share[0, 0] == 0
     assert share.min() >= 0
     assert share.max() <= 1
+
+
+@pytest.mark.parametrize("weight", [0.1, 0.3, 1.0])
+def test_of_a_faint_detail_in_a_smooth_cell_arrives_as_much_as_support_says(weight: float) -> None:
+    _, registration, _ = recording(12)
+    grid = HrGrid.covering(LAYOUT, registration.lr_px_per_unit, 3.0)
+    poses = registration.homographies
+    model = ObservationModel.build(SensorRays.of(CAMERA, SHAPE), CAMERA, poses, grid, SIGMA)
+    flat, z = np.full(grid.shape, 0.5, np.float32), probe(grid.shape, 3.0)
+    faint = np.float32(FAINT * 0.5)
+
+    def problem_of(scene: np.ndarray) -> Problem:
+        equations = NormalEquations.empty(model)
+        rng = np.random.default_rng(5)
+        for H in poses:
+            seen = model.frame(H).forward(scene) + rng.normal(0, NOISE, SHAPE)
+            equations.add(H, seen.astype(np.float32), np.full(SHAPE, NOISE**-2, np.float32))
+        return Problem(equations, weight, 0.5)
+
+    without, with_detail = problem_of(flat), problem_of(flat + faint * z)
+    plain, shown = (
+        list(minimise(p, flat, 300, tolerance=1e-5))[-1].image for p in (without, with_detail)
+    )
+    difference = inner(shown - plain)
+    arrived = float((difference * inner(z)).sum() / (inner(z) ** 2).sum()) / float(faint)
+    share = support_of(without.equations, lambda u: without.majoriser(plain + faint * u))
+    assert float(inner(share).mean()) == pytest.approx(arrived, abs=0.1)
