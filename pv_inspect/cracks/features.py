@@ -34,7 +34,7 @@ B       what the cracks would cut off is 0.4 to 0.8 times as bright as the rest:
 C       it is less than 0.4 times as bright as the rest: cut off
 unknown cracks, but no busbars were found
 unsure  the frames did not earn the answer: without the cracks of which at least half lies on pixels
-        with a support under 0.15 the class would be another one, or there is no crack and at least
+        with a support under 0.1 the class would be another one, or there is no crack and at least
         half of the cell has such pixels
 """
 
@@ -55,7 +55,7 @@ _SCORE_LENGTH_CELLS = 0.1
 _SCORE_WIDTH_CELLS = 0.01
 # Frames that all stand in one place reach about this support (`pv_inspect.support`): pixels with
 # less show no detail that is finer than the pixels of a frame and comes from the frames.
-UNSUPPORTED = 0.15
+UNSUPPORTED = 0.1
 _UNEARNED_SHARE = 0.5
 # Classes: less than this share of the cell counts as nothing cut off, and brightness of what would
 # be cut off relative to the rest of the cell.
@@ -117,7 +117,7 @@ class CellFeatures:
         neither be trusted nor excluded. NaN if no support map is known.
     unsupported_share : float
         Share of the crack length, or of the area of a cell without cracks, that lies on pixels
-        with a support under 0.15. NaN if no support map is known.
+        with a support under 0.1. NaN if no support map is known.
     unsure : bool
         Whether the class hangs on what the frames did not earn (last entry of `CLASS_RULE`).
     """
