@@ -121,12 +121,19 @@ def result_layers(folder: Path) -> list[LayerData]:
 def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
     """Return cell tiles and crack map of a result folder, for the gallery."""
     grid, layout = result.grid, result.grid.layout
-    tiles = [
-        [result.image[grid.cell_slices(row, col)] for col in range(layout.cols)]
-        for row in range(layout.rows)
-    ]
-    cracks = CrackMap(result.cracks, result.crack_threshold, "", result.cells)
-    return CellTiles(np.array(tiles, dtype=np.float32), grid), cracks
+
+    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
+        rows, cols = range(layout.rows), range(layout.cols)
+        return np.array([[whole[grid.cell_slices(i, j)] for j in cols] for i in rows], np.float32)
+
+    cracks = CrackMap(
+        result.cracks,
+        result.crack_threshold,
+        result.detector,
+        result.cells,
+        result.least_extent_cells,
+    )
+    return CellTiles(cut(result.image), grid, cut(result.support)), cracks
 
 
 def _frame(sequence: Sequence, index: int) -> NDArray[np.float32]:

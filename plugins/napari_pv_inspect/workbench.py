@@ -28,6 +28,7 @@ from napari_pv_inspect.navigation import Navigator
 from napari_pv_inspect.opener import Opener
 from napari_pv_inspect.point_editor import PointEditor
 from napari_pv_inspect.recalibration import Recalibration
+from napari_pv_inspect.reviewer import Reviewer
 from napari_pv_inspect.saver import Saver
 from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
@@ -78,6 +79,7 @@ class Workbench(QObject):
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
+        self.review = Reviewer(self.model, self.history)
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
         self.model.preview_changed.connect(self._on_preview)
@@ -130,6 +132,7 @@ class Workbench(QObject):
         self.kappa_curve.close()
         self.live_cell.close()
         self.guesser.close()
+        self.review.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
@@ -141,6 +144,9 @@ class Workbench(QObject):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Close with the window, and before it."""
         if watched is self._main_window and event.type() == QEvent.Type.Close:
+            if not self.review.may_close(self._main_window):
+                event.ignore()
+                return True
             self.close()
         return False
 
@@ -159,6 +165,7 @@ class Workbench(QObject):
     def _on_saved(self, inspection: Inspection, folder: Path) -> None:
         if inspection is self.model.inspection:
             self.session.attach(folder)
+            self.review.saved(folder)
 
     def _on_sequence(self, _: object) -> None:
         self.history.clear()

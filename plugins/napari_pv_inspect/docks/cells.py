@@ -1,91 +1,52 @@
-"""The dock *Cells*: every cell as a thumbnail; a click shows it large in the module image."""
+"""The dock *Cells*: every cell as a thumbnail with its verdict; keys judge the selected one."""
 
 from __future__ import annotations
 
-import numpy as np
 from napari.components import ViewerModel
-from qtpy.QtCore import QAbstractListModel, QModelIndex, QSize, Qt, Signal
-from qtpy.QtGui import QIcon, QImage, QPixmap
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, Signal
 from qtpy.QtWidgets import (
-    QCheckBox,
     QComboBox,
     QHBoxLayout,
     QLabel,
     QListView,
     QSizePolicy,
+    QSlider,
     QVBoxLayout,
     QWidget,
 )
 
+from napari_pv_inspect.docks.cell import open_cell_dock
+from napari_pv_inspect.docks.gallery_list import (
+    BAR,
+    GAP,
+    THUMBNAIL,
+    CellList,
+    TileDelegate,
+    cell_text,
+)
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.sources import result_cells
-from napari_pv_inspect.thumbnails import cell_pictures
+from napari_pv_inspect.review_model import EVERY, ReviewModel
+from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.cells import CellTiles
-from pv_inspect.cracks import CellFeatures, CrackMap
-from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
+from pv_inspect.review import Cell, Order, VerdictKind
 
-__all__ = ["CellList", "CellsDock"]
+__all__ = ["BY_CRACKS", "BY_POSITION", "CellsDock"]
 
-THUMBNAIL = 92
-MARK_OPACITY = 0.75
-BY_POSITION, BY_CRACKS = "by position", "by crack score"
-
-
-class CellList(QAbstractListModel):
-    """The cells of an inspection as a Qt list: picture, name, features."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._icons: dict[tuple[int, int], QIcon] = {}
-        self._features: dict[tuple[int, int], CellFeatures] = {}
-        self._order: list[tuple[int, int]] = []
-
-    def show(
-        self, tiles: CellTiles | None, cracks: CrackMap | None, marked: bool, order: str
-    ) -> None:
-        """Fill the list from cell tiles and a crack map."""
-        self.beginResetModel()
-        self._icons, self._features = {}, {}
-        if tiles is not None:
-            opacity = MARK_OPACITY if marked else 0.0
-            pictures = cell_pictures(tiles, cracks, opacity)
-            self._icons = {
-                (r, c): _icon(pictures[r, c]) for r, c in np.ndindex(*pictures.shape[:2])
-            }
-            if cracks is not None:
-                self._features = {(f.row, f.col): f for f in cracks.cells}
-        self._order = sorted(self._icons)
-        if order == BY_CRACKS:
-            self._order.sort(key=self._score, reverse=True)
-        self.endResetModel()
-
-    def cell(self, index: QModelIndex) -> tuple[int, int]:
-        """Row and column of the cell at an index, from 0."""
-        return self._order[index.row()]
-
-    def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
-        """Count the cells."""
-        return len(self._order)
-
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """Return picture, name or tooltip of a cell."""
-        if not index.isValid():
-            return None
-        place = self._order[index.row()]
-        if role == Qt.ItemDataRole.DisplayRole:
-            return f"{place[0] + 1} / {place[1] + 1}"
-        if role == Qt.ItemDataRole.DecorationRole:
-            return self._icons[place]
-        if role == Qt.ItemDataRole.ToolTipRole:
-            return _tooltip(place, self._features.get(place))
-        return None
-
-    def _score(self, place: tuple[int, int]) -> float:
-        features = self._features.get(place)
-        return 0.0 if features is None else features.crack_score
+BY_POSITION, BY_CRACKS, BY_VERDICT = "by position", "by crack score", "by verdict"
+ORDERS = {
+    BY_POSITION: Order.POSITION,
+    BY_CRACKS: Order.CRACK_SCORE,
+    BY_VERDICT: Order.VERDICT,
+}
+FILTERS: dict[str, tuple[VerdictKind | None, ...]] = {
+    "all": EVERY,
+    "not judged": (None,),
+    "judged": tuple(VerdictKind),
+    **{kind.label: (kind,) for kind in VerdictKind},
+}
 
 
 class CellsDock(QWidget):
@@ -97,100 +58,164 @@ class CellsDock(QWidget):
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
         self._bench.has_gallery = True
-        self._shown: tuple[object, ...] = ()
-        self.cells = CellList()
-        self.view = QListView()
-        self.view.setModel(self.cells)
-        self.view.setViewMode(QListView.ViewMode.IconMode)
-        self.view.setResizeMode(QListView.ResizeMode.Adjust)
-        self.view.setMovement(QListView.Movement.Static)
-        self.view.setUniformItemSizes(True)
-        self.view.setIconSize(QSize(THUMBNAIL, THUMBNAIL))
-        self.view.setGridSize(QSize(THUMBNAIL + 10, THUMBNAIL + 24))
-        self.view.setToolTip("A click, or the arrow keys, show a cell large.")
-        self.order = QComboBox()
-        self.order.addItems([BY_POSITION, BY_CRACKS])
-        self.order.setToolTip("Order of the cells: as in the module, or suspicious ones first.")
-        self.marked = QCheckBox("mark cracks")
-        self.marked.setChecked(True)
-        self.marked.setToolTip("Paint what passes the crack threshold in orange.")
+        self.cells = CellList(self._review)
+        self._delegate = TileDelegate(self._review)
+        self.view = _view(self.cells, self._delegate)
+        self.order = _combo(
+            ORDERS,
+            "Order of the cells: as in the module, highest crack score or worst verdict first.",
+        )
+        self.filter = _combo(FILTERS, "Show only cells with this verdict of yours.")
+        self.opacity = _slider(75, "Opacity of the crack marks, percent; 0 hides them.")
+        self.threshold = _slider(
+            50, "Crack probability, percent, from which pixels are painted; measures nothing."
+        )
         self.caption = QLabel("Row / column of the cell, from the top left.")
         # A long caption is cut off, it does not widen the dock.
         self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         bar = QHBoxLayout()
-        bar.addWidget(QLabel("Order"))
-        bar.addWidget(self.order)
-        bar.addWidget(self.marked)
+        for name, control in (
+            ("Order", self.order),
+            ("Show", self.filter),
+            ("Cracks", self.opacity),
+            ("from", self.threshold),
+        ):
+            bar.addWidget(QLabel(name))
+            bar.addWidget(control)
         bar.addWidget(self.caption, 1)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addLayout(bar)
         layout.addWidget(self.view, 1)
-        self.order.currentTextChanged.connect(self._refill)
-        self.marked.toggled.connect(self._refill)
-        self.view.selectionModel().currentChanged.connect(self._on_cell)
-        self.view.clicked.connect(self._on_cell)
-        listen(self._model.inspection_changed, self._on_inspection)
-        listen(self._model.result_opened, self._on_result)
-        self._on_inspection(self._model.shown)
+        self.order.currentTextChanged.connect(self._on_order)
+        self.filter.currentTextChanged.connect(self._on_filter)
+        self.opacity.valueChanged.connect(self._on_opacity)
+        self.threshold.valueChanged.connect(self._on_threshold)
+        self.view.selectionModel().currentChanged.connect(self._on_current)
+        self.view.clicked.connect(self._on_click)
+        self.view.doubleClicked.connect(self.open_cell)
+        bind_review_keys(self._bench, self, "Gallery")
+        if self._bench.shortcuts is not None:
+            key = Key("Return", "Open the selected cell large", "Gallery")
+            self._bench.shortcuts.add(key, self.open_cell, within=self)
+        listen(self._review.subject_changed, self._on_subject)
+        listen(self._review.listing_changed, self._relist)
+        listen(self._review.verdicts_changed, self._relist)
+        listen(self._review.marks_changed, self._on_marks)
+        listen(self._review.threshold_changed, self._on_threshold_changed)
+        listen(self._model.cell_selected, self._on_selected)
+        self._on_subject(self._review.subject)
 
     @property
     def _model(self) -> WorkbenchModel:
         return self._bench.model
 
-    def _on_inspection(self, inspection: Inspection | None) -> None:
-        parts = () if inspection is None else (inspection.tiles, inspection.cracks)
-        if parts and (parts[0] is None or _same(parts, self._shown)):
-            # While a run works on new cells the old ones stay.
-            return
-        self._shown = parts
-        self._refill()
-        if parts:
+    @property
+    def _review(self) -> ReviewModel:
+        return self._bench.review.state
+
+    def open_cell(self, _: object = None) -> None:
+        """Show the selected cell large."""
+        if self._model.selected_cell is None:
+            self._bench.review.step(0)
+        open_cell_dock(self._bench)
+
+    def event(self, event: QEvent) -> bool:
+        """Paint thumbnails anew on a screen of another density."""
+        if event.type() == QEvent.Type.DevicePixelRatioChange:
+            self.cells.show_subject(self.devicePixelRatioF())
+        return super().event(event)
+
+    def _on_subject(self, subject: Subject | None) -> None:
+        self.cells.show_subject(self.devicePixelRatioF())
+        self._on_threshold_changed(self._review.threshold)
+        self._on_selected(self._model.selected_cell)
+        if subject is not None:
             self.filled.emit()
 
-    def _on_result(self, _: Result) -> None:
-        self._refill()
-        self.filled.emit()
+    def _relist(self) -> None:
+        if self.cells.relist():
+            self._on_selected(self._model.selected_cell)
+        else:
+            self._caption()
 
-    def _refill(self, _: object = None) -> None:
-        shown, result = self._model.shown, self._model.result
-        tiles, cracks = (None, None) if shown is None else (shown.tiles, shown.cracks)
-        if tiles is None and result is not None:
-            tiles, cracks = result_cells(result)
-        self.cells.show(tiles, cracks, self.marked.isChecked(), self.order.currentText())
+    def _on_marks(self, cell: Cell | None) -> None:
+        self.cells.forget(cell)
+        self._caption()
 
-    def _on_cell(self, index: QModelIndex, _: object = None) -> None:
-        if not index.isValid():
+    def _on_order(self, text: str) -> None:
+        self._review.set_order(ORDERS[text])
+
+    def _on_filter(self, text: str) -> None:
+        self._review.set_filter(FILTERS[text])
+
+    def _on_opacity(self, percent: int) -> None:
+        self.cells.set_opacity(percent / 100)
+
+    def _on_threshold(self, percent: int) -> None:
+        self._review.set_threshold(percent / 100)
+
+    def _on_threshold_changed(self, threshold: float) -> None:
+        with QSignalBlocker(self.threshold):
+            self.threshold.setValue(round(100 * threshold))
+        self.cells.forget(None)
+
+    def _on_current(self, index: QModelIndex, _: object = None) -> None:
+        if index.isValid():
+            self._model.select_cell(self.cells.cell(index))
+
+    def _on_click(self, index: QModelIndex) -> None:
+        # The camera comes back also to the cell that is selected already.
+        self._on_current(index)
+        self._bench.navigator.to_cell(*self.cells.cell(index))
+
+    def _on_selected(self, cell: Cell | None) -> None:
+        index = self.cells.index_of(cell)
+        if index != self.view.currentIndex():
+            with QSignalBlocker(self.view.selectionModel()):
+                self.view.setCurrentIndex(index)
+            self.view.viewport().update()
+        if cell is not None:
+            if index.isValid():
+                self.view.scrollTo(index)
+            self._bench.navigator.to_cell(*cell)
+        self._caption()
+
+    def _caption(self) -> None:
+        cell = self._model.selected_cell
+        if cell is None or self._review.subject is None:
             return
-        place = self.cells.cell(index)
-        self._model.select_cell(place)
-        self._bench.navigator.to_cell(*place)
-        self.caption.setText(self.cells.data(index, Qt.ItemDataRole.ToolTipRole))
+        text = cell_text(self._review, cell)
+        self.caption.setText("  |  ".join(text.splitlines()))
+        self.caption.setToolTip(text)
 
 
-def _same(a: tuple[object, ...], b: tuple[object, ...]) -> bool:
-    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
-
-
-def _icon(picture: np.ndarray) -> QIcon:
-    picture = np.ascontiguousarray(picture)
-    height, width = picture.shape[:2]
-    image = QImage(picture.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-    scaled = image.scaled(
-        THUMBNAIL,
-        THUMBNAIL,
-        Qt.AspectRatioMode.KeepAspectRatio,
-        Qt.TransformationMode.SmoothTransformation,
+def _view(cells: CellList, delegate: TileDelegate) -> QListView:
+    view = QListView()
+    view.setModel(cells)
+    view.setItemDelegate(delegate)
+    view.setViewMode(QListView.ViewMode.IconMode)
+    view.setResizeMode(QListView.ResizeMode.Adjust)
+    view.setMovement(QListView.Movement.Static)
+    view.setUniformItemSizes(True)
+    view.setGridSize(QSize(THUMBNAIL + GAP, THUMBNAIL + BAR + GAP))
+    view.setToolTip(
+        "A click or the arrow keys select a cell, a letter judges it, Enter shows it large."
     )
-    return QIcon(QPixmap.fromImage(scaled))
+    return view
 
 
-def _tooltip(place: tuple[int, int], features: CellFeatures | None) -> str:
-    text = f"Row {place[0] + 1}, column {place[1] + 1}"
-    if features is None:
-        return text
-    return (
-        f"{text}: crack length {features.crack_length_cells:.2f} cell widths in "
-        f"{features.crack_instances} pieces, dark area {features.dark_area_share:.0%}, "
-        f"mean intensity {features.mean_intensity:.3f} of full scale"
-    )
+def _combo(entries: dict[str, object], tip: str) -> QComboBox:
+    combo = QComboBox()
+    combo.addItems(list(entries))
+    combo.setToolTip(tip)
+    return combo
+
+
+def _slider(percent: int, tip: str) -> QSlider:
+    slider = QSlider(Qt.Orientation.Horizontal)
+    slider.setRange(0, 100)
+    slider.setValue(percent)
+    slider.setFixedWidth(90)
+    slider.setToolTip(tip)
+    return slider

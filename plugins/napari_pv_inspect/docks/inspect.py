@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from napari.components import ViewerModel
-from qtpy.QtCore import Qt
+from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
     QDockWidget,
     QFileDialog,
@@ -21,6 +21,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.frames_box import FramesBox
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
@@ -30,6 +31,7 @@ from napari_pv_inspect.docks.module_box import ModuleBox
 from napari_pv_inspect.docks.points_box import PointsBox
 from napari_pv_inspect.docks.reference_box import ReferenceBox
 from napari_pv_inspect.docks.result_box import ResultBox
+from napari_pv_inspect.docks.review_box import ReviewBox
 from napari_pv_inspect.docks.run_box import RunBox
 from napari_pv_inspect.docks.steps import StepsBox
 from napari_pv_inspect.sample import sample_folder
@@ -73,6 +75,8 @@ class InspectDock(QWidget):
         self.points = PointsBox(bench)
         self.lens = LensBox(bench.model, bench.live, bench.kappa_curve)
         self.image = ImageBox(bench.model, bench.live_cell)
+        self.verdict = ReviewBox(bench.model, bench.review, bench.history)
+        self.export = ExportBox(bench.model, bench.review.state)
         self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
@@ -95,6 +99,7 @@ class InspectDock(QWidget):
             self.lens,
         )
         self.add_page("Image", "How the module image is made.", self.image)
+        self.add_page("Review", "What you say about the cells.", self.verdict, self.export)
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.run)
@@ -106,6 +111,7 @@ class InspectDock(QWidget):
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
+        listen(bench.review.state.folder_wanted, self._on_folder_wanted)
         self.steps.wanted.connect(self._on_deed)
         self.steps.step_clicked.connect(self._on_step)
         self.pages.currentChanged.connect(self._on_page)
@@ -195,6 +201,7 @@ class InspectDock(QWidget):
         if widget is not None:
             widget.show()
             widget.raise_()
+        self.show_page("Review")
         if model.selected_cell is None:
             model.select_cell((0, 0))
 
@@ -224,6 +231,10 @@ class InspectDock(QWidget):
 
     def _on_cancel(self) -> None:
         self.bench.runs.cancel()
+
+    def _on_folder_wanted(self, _: str) -> None:
+        # Not within the key press that asked for it.
+        QTimer.singleShot(0, self, self._on_save)
 
     def _on_save(self) -> None:
         folder = QFileDialog.getSaveFileName(self, "Folder for the result", "result")[0]

@@ -1,0 +1,311 @@
+"""The dock *Cell*: one cell large, beside its best frame, the bicubic and the support map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+from napari.components import ViewerModel
+from napari.qt.threading import create_worker
+from qtpy.QtCore import QSignalBlocker, Qt
+from qtpy.QtWidgets import QDockWidget, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from napari_pv_inspect.appearance import contrast_limits
+from napari_pv_inspect.docks.cell_bar import CellBar
+from napari_pv_inspect.docks.gallery_list import cell_text
+from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.panels import PaintPanel, Panel, SharedView
+from napari_pv_inspect.docks.review_keys import bind_review_keys
+from napari_pv_inspect.frame_panels import FramePanels, contours, frame_panels
+from napari_pv_inspect.review_model import ReviewModel
+from napari_pv_inspect.review_subject import Mask, Subject
+from napari_pv_inspect.shortcuts import Key
+from napari_pv_inspect.workbench import Workbench
+from pv_inspect.errors import InspectionError
+from pv_inspect.pictures import grey
+from pv_inspect.pipeline import Inspection
+from pv_inspect.review import Cell
+
+__all__ = ["CellDock", "open_cell_dock", "raise_dock"]
+
+LEAST_HEIGHT = 380
+NO_FRAMES = "No frames are open: this result folder is looked at without its sequence."
+
+
+@dataclass
+class _Stroke:
+    """Marks while they are painted on."""
+
+    cell: Cell
+    mask: Mask
+
+
+class CellDock(QWidget):
+    """Four pictures of the selected cell that zoom and move together; its marks are corrected."""
+
+    def __init__(self, napari_viewer: ViewerModel) -> None:
+        super().__init__()
+        self._bench = Workbench.of(napari_viewer)
+        self._stroke: _Stroke | None = None
+        self._limits = (0.0, 1.0)
+        self._frame: FramePanels | None = None
+        self._wanted: tuple[Subject, Cell] | None = None
+        self._working = False
+        self.shared = SharedView()
+        move = "Wheel: zoom; drag: move; double click: the whole cell. All four move together."
+        self.cell_panel = PaintPanel("Module image", move, self.shared)
+        self.frame_panel = Panel("Best frame", move, self.shared)
+        self.bicubic_panel = Panel("Bicubic", move, self.shared)
+        self.support_panel = Panel(
+            "Support",
+            f"{move} Dark: the frames determine little here (0); bright: all (1).",
+            self.shared,
+        )
+        self.panels = (
+            self.cell_panel,
+            self.frame_panel,
+            self.bicubic_panel,
+            self.support_panel,
+        )
+        self.bar = CellBar()
+        self.caption = QLabel("No cell is selected.")
+        self.caption.setMinimumWidth(1)
+        row = QHBoxLayout()
+        row.setSpacing(3)
+        for panel in self.panels:
+            panel.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+            row.addWidget(panel, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(4, 4, 4, 4)
+        layout.addWidget(self.bar)
+        layout.addLayout(row, 1)
+        layout.addWidget(self.caption)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.bar.changed.connect(self._on_bar)
+        self.bar.reset_wanted.connect(self._on_reset)
+        self.cell_panel.stroke_begun.connect(self._on_stroke_begun)
+        self.cell_panel.stroked.connect(self._on_stroked)
+        self.cell_panel.stroke_ended.connect(self._on_stroke_ended)
+        self._bind_keys()
+        listen(self._review.subject_changed, self._on_subject)
+        listen(self._review.marks_changed, self._on_marks)
+        listen(self._review.verdicts_changed, self._caption)
+        listen(self._review.threshold_changed, self._on_threshold)
+        listen(self._bench.model.cell_selected, self._on_cell)
+        self._on_subject(self._review.subject)
+
+    @property
+    def _review(self) -> ReviewModel:
+        return self._bench.review.state
+
+    @property
+    def _cell(self) -> Cell | None:
+        cell, subject = self._bench.model.selected_cell, self._review.subject
+        return cell if subject is not None and cell in subject.places else None
+
+    def _bind_keys(self) -> None:
+        bind_review_keys(self._bench, self, "Cell view")
+        if (shortcuts := self._bench.shortcuts) is None:
+            return
+        review = self._bench.review
+        for sequence, text, slot in (
+            ("Left", "Previous cell in the order of the gallery", partial(review.step, -1)),
+            ("Right", "Next cell in the order of the gallery", partial(review.step, 1)),
+            ("Up", "Cell above", partial(review.move, -1)),
+            ("Down", "Cell below", partial(review.move, 1)),
+            ("D", "Correct the crack marks with the brush, or stop it", self.bar.toggle_drawing),
+            ("E", "Brush or eraser", self.bar.toggle_eraser),
+            ("+", "Larger brush", partial(self.bar.grow, 1)),
+            ("-", "Smaller brush", partial(self.bar.grow, -1)),
+            ("0", "Show the whole cell", self.shared.reset),
+            ("Esc", "Back to the gallery", self._to_gallery),
+        ):
+            shortcuts.add(Key(sequence, text, "Cell view"), slot, within=self)
+
+    def _to_gallery(self) -> None:
+        raise_dock(self._bench, "Cells")
+
+    def _on_subject(self, subject: Subject | None) -> None:
+        if subject is not None:
+            images = subject.tiles.images
+            self._limits = 0.0, float(np.nanmax(images)) or 1.0
+            low, high = contrast_limits(images)
+            self.bar.show_contrast(low / self._limits[1], high / self._limits[1])
+        self._on_cell(self._cell)
+
+    def _on_cell(self, _: Cell | None) -> None:
+        self._stroke = None
+        self._frame = None
+        self._show_pictures()
+        self._show_outlines()
+        self._caption()
+        self._ask_for_frame()
+
+    def _on_bar(self) -> None:
+        self.cell_panel.editable = self.bar.draws
+        self.cell_panel.erasing = self.bar.erases
+        self.cell_panel.brush_px = float(self.bar.brush_px)
+        self.cell_panel.setCursor(
+            Qt.CursorShape.CrossCursor if self.bar.draws else Qt.CursorShape.ArrowCursor
+        )
+        self._show_pictures()
+        self._show_outlines()
+
+    def _on_threshold(self, _: float) -> None:
+        self._show_outlines()
+
+    def _on_marks(self, cell: Cell | None) -> None:
+        if cell is None or cell == self._cell:
+            self._show_outlines()
+            self._caption()
+
+    def _show_pictures(self) -> None:
+        subject, cell = self._review.subject, self._cell
+        if subject is None or cell is None:
+            for panel in self.panels:
+                panel.show_picture(None, "No cell is selected.")
+            return
+        self.cell_panel.show_picture(self._grey(subject.tiles.images[cell]))
+        support = subject.tiles.support
+        if support is None:
+            self.support_panel.show_picture(None, "There is no support map.")
+        else:
+            self.support_panel.show_picture(_support_colours(support[cell]))
+        if self._frame is not None:
+            self.frame_panel.title = f"Best frame: {self._frame.name}"
+            self.frame_panel.show_picture(self._grey(self._frame.nearest))
+            self.bicubic_panel.show_picture(self._grey(self._frame.bicubic))
+        elif subject.inspection is None:
+            self._say_of_frame(NO_FRAMES)
+
+    def _grey(self, image: np.ndarray) -> np.ndarray:
+        low, high = (self._limits[1] * share for share in self.bar.contrast)
+        return grey(image, low, max(high, low + 1e-6))
+
+    def _say_of_frame(self, sentence: str) -> None:
+        self.frame_panel.title = "Best frame"
+        self.frame_panel.show_picture(None, sentence)
+        self.bicubic_panel.show_picture(None, sentence)
+
+    def _show_outlines(self) -> None:
+        cell, opacity = self._cell, self.bar.opacity
+        mask = None
+        if cell is not None and opacity > 0:
+            mask = self._review.marks(cell) if self._stroke is None else self._stroke.mask
+        lines = [] if mask is None else contours(mask)
+        for panel in self.panels:
+            panel.show_outlines(lines, opacity)
+
+    def _caption(self) -> None:
+        cell = self._cell
+        if cell is None:
+            self.caption.setText("No cell is selected.")
+            return
+        text = cell_text(self._review, cell)
+        self.caption.setText("  |  ".join(text.splitlines()))
+        self.caption.setToolTip(text)
+
+    # The best frame: read and rectified beside the window; only the newest wish counts.
+
+    def _ask_for_frame(self) -> None:
+        subject, cell = self._review.subject, self._cell
+        if subject is None or cell is None or subject.inspection is None:
+            self._wanted = None
+            return
+        self._say_of_frame("Reading the frame...")
+        self._wanted = subject, cell
+        self._work()
+
+    def _work(self) -> None:
+        if self._wanted is None or self._working:
+            return
+        self._working = True
+        subject, cell = self._wanted
+        worker = create_worker(_frame_or_sentence, subject, cell)
+        worker.returned.connect(self._on_frame)
+        worker.start()
+
+    def _on_frame(self, answer: tuple[Subject, Cell, Any]) -> None:
+        self._working = False
+        subject, cell, found = answer
+        if self._wanted is None or (subject, cell) != self._wanted:
+            self._work()
+            return
+        self._wanted = None
+        if isinstance(found, FramePanels):
+            self._frame = found
+            self._show_pictures()
+        else:
+            self._say_of_frame(found)
+
+    # Brush and eraser
+
+    def _on_stroke_begun(self) -> None:
+        cell = self._cell
+        mask = None if cell is None else self._review.marks(cell)
+        self._stroke = None if cell is None or mask is None else _Stroke(cell, mask.copy())
+
+    def _on_stroked(
+        self, start: tuple[float, float], end: tuple[float, float], width: float, erases: bool
+    ) -> None:
+        if self._stroke is None:
+            return
+        # A pixel of the picture covers [j, j + 1]; OpenCV counts from its centre.
+        a, b = ((round(x - 0.5), round(y - 0.5)) for x, y in (start, end))
+        painted = self._stroke.mask.astype(np.uint8)
+        cv2.line(painted, a, b, 0 if erases else 1, max(round(width), 1))
+        self._stroke.mask = painted.astype(bool)
+        self._show_outlines()
+
+    def _on_stroke_ended(self) -> None:
+        stroke, self._stroke = self._stroke, None
+        if stroke is not None:
+            self._review.correct(stroke.cell, stroke.mask)
+
+    def _on_reset(self) -> None:
+        if (cell := self._cell) is not None and self._review.correction(cell) is not None:
+            self._review.correct(cell, None)
+
+
+def _frame_or_sentence(subject: Subject, cell: Cell) -> tuple[Subject, Cell, FramePanels | str]:
+    inspection = subject.inspection
+    assert isinstance(inspection, Inspection)
+    try:
+        return subject, cell, frame_panels(inspection, cell)
+    except InspectionError as error:
+        return subject, cell, str(error)
+
+
+def _support_colours(support: np.ndarray) -> np.ndarray:
+    coloured = cv2.applyColorMap(grey(support, 0.0, 1.0), cv2.COLORMAP_VIRIDIS)
+    return cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB)
+
+
+def raise_dock(bench: Workbench, name: str) -> bool:
+    """Bring a dock to the front with the focus inside; False if there is none."""
+    inner = bench.viewer.window.dock_widgets.get(name)
+    outer: QWidget | None = inner
+    while outer is not None and not isinstance(outer, QDockWidget):
+        outer = outer.parentWidget()
+    if inner is None or outer is None:
+        return False
+    outer.show()
+    outer.raise_()
+    getattr(inner, "view", inner).setFocus()
+    return True
+
+
+def open_cell_dock(bench: Workbench) -> None:
+    """Show the dock *Cell*, beside the gallery when it is new."""
+    if not raise_dock(bench, "Cell"):
+        window = bench.viewer.window
+        dock = window.add_dock_widget(
+            CellDock(bench.viewer), name="Cell", area="bottom", tabify=True
+        )
+        with QSignalBlocker(dock):
+            if dock.height() < LEAST_HEIGHT:
+                window._qt_window.resizeDocks([dock], [LEAST_HEIGHT], Qt.Orientation.Vertical)
+        raise_dock(bench, "Cell")

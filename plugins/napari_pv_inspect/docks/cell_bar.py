@@ -1,0 +1,116 @@
+"""Controls over the pictures of a cell: contrast, marks, brush."""
+
+from __future__ import annotations
+
+from qtpy.QtCore import QSignalBlocker, Qt, Signal
+from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QSlider, QSpinBox, QWidget
+from superqt import QRangeSlider
+
+__all__ = ["CellBar"]
+
+STEPS = 1000
+
+
+class CellBar(QWidget):
+    """Says how the cell is shown and what the mouse does."""
+
+    changed = Signal()
+    reset_wanted = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.contrast_slider = QRangeSlider(Qt.Orientation.Horizontal)
+        self.contrast_slider.setRange(0, STEPS)
+        self.contrast_slider.setValue((0, STEPS))
+        self.contrast_slider.setFixedWidth(160)
+        self.contrast_slider.setToolTip(
+            "Black and white of module image, frame and bicubic, parts of the brightest pixel."
+        )
+        self.opacity_slider = QSlider(Qt.Orientation.Horizontal)
+        self.opacity_slider.setRange(0, 100)
+        self.opacity_slider.setValue(90)
+        self.opacity_slider.setFixedWidth(80)
+        self.opacity_slider.setToolTip("Opacity of the outlines of the marks, percent; 0: none.")
+        self.drawing = QCheckBox("Correct marks")
+        self.drawing.setToolTip(
+            "Paint on the module image (D): the left button marks cracks, the right one erases."
+        )
+        self.eraser = QCheckBox("Eraser")
+        self.eraser.setToolTip("The left button erases as well (E).")
+        self.brush = QSpinBox()
+        self.brush.setRange(1, 60)
+        self.brush.setValue(5)
+        self.brush.setSuffix(" px")
+        self.brush.setToolTip("Width of brush and eraser, pixels of the module image (+ and -).")
+        self.reset = QPushButton("Reset marks")
+        self.reset.setToolTip("Go back to the marks that the detector found.")
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        for widget in (
+            QLabel("Contrast"),
+            self.contrast_slider,
+            QLabel("Marks"),
+            self.opacity_slider,
+            self.drawing,
+            self.eraser,
+            QLabel("Brush"),
+            self.brush,
+            self.reset,
+        ):
+            layout.addWidget(widget)
+        layout.addStretch(1)
+        for signal in (
+            self.contrast_slider.valueChanged,
+            self.opacity_slider.valueChanged,
+            self.drawing.toggled,
+            self.eraser.toggled,
+            self.brush.valueChanged,
+        ):
+            signal.connect(self._on_change)
+        self.reset.clicked.connect(self.reset_wanted)
+
+    @property
+    def contrast(self) -> tuple[float, float]:
+        """Black and white, parts of the brightest pixel."""
+        low, high = self.contrast_slider.value()
+        return low / STEPS, high / STEPS
+
+    @property
+    def opacity(self) -> float:
+        """Opacity of the outlines, 0 to 1."""
+        return self.opacity_slider.value() / 100
+
+    @property
+    def draws(self) -> bool:
+        """Whether the mouse corrects the marks."""
+        return self.drawing.isChecked()
+
+    @property
+    def erases(self) -> bool:
+        """Whether the left button erases."""
+        return self.eraser.isChecked()
+
+    @property
+    def brush_px(self) -> int:
+        """Width of the brush, HR pixels."""
+        return self.brush.value()
+
+    def show_contrast(self, low: float, high: float) -> None:
+        """Show limits without telling that they changed."""
+        with QSignalBlocker(self.contrast_slider):
+            self.contrast_slider.setValue((round(low * STEPS), round(high * STEPS)))
+
+    def toggle_drawing(self) -> None:
+        """Begin or end to correct."""
+        self.drawing.toggle()
+
+    def toggle_eraser(self) -> None:
+        """Take the eraser or the brush."""
+        self.eraser.toggle()
+
+    def grow(self, by: int) -> None:
+        """Take a wider or narrower brush."""
+        self.brush.setValue(self.brush.value() + by)
+
+    def _on_change(self, _: object = None) -> None:
+        self.changed.emit()

@@ -1,0 +1,207 @@
+"""The cells of a module as a Qt list, and how one of them is painted."""
+
+from __future__ import annotations
+
+import numpy as np
+from qtpy.QtCore import QAbstractListModel, QModelIndex, QRect, QSize, Qt
+from qtpy.QtGui import QColor, QImage, QPainter, QPen, QPixmap
+from qtpy.QtWidgets import QStyle, QStyledItemDelegate, QStyleOptionViewItem
+
+from napari_pv_inspect.review_model import ReviewModel
+from napari_pv_inspect.thumbnails import Thumbnails
+from pv_inspect.cracks.wording import tooltip
+from pv_inspect.review import Cell, Verdict, VerdictKind
+
+__all__ = ["THUMBNAIL", "CellList", "TileDelegate", "cell_text", "ink_on"]
+
+THUMBNAIL = 92
+BAR = 16
+GAP = 6
+CELL_ROLE = Qt.ItemDataRole.UserRole
+
+
+class CellList(QAbstractListModel):
+    """The listed cells: picture, name, verdict, features."""
+
+    def __init__(self, review: ReviewModel) -> None:
+        super().__init__()
+        self._review = review
+        self._order: tuple[Cell, ...] = ()
+        self._thumbnails: Thumbnails | None = None
+        self._pictures: dict[Cell, QPixmap] = {}
+        self._opacity = 0.75
+        self._ratio = 1.0
+
+    def show_subject(self, ratio: float) -> None:
+        """Show the cells of another subject; ``ratio``: device pixels per pixel of the screen."""
+        subject = self._review.subject
+        self._ratio = ratio
+        size = round(THUMBNAIL * ratio)
+        self._thumbnails = None if subject is None else Thumbnails(subject, size)
+        self._pictures.clear()
+        self.relist()
+
+    def relist(self) -> bool:
+        """List the cells again; returns whether the list is another one."""
+        order = self._review.listed
+        if order == self._order:
+            self.repaint()
+            return False
+        self.beginResetModel()
+        self._order = order
+        self.endResetModel()
+        return True
+
+    def repaint(self) -> None:
+        """Show other verdicts of the same cells."""
+        if self._order:
+            self.dataChanged.emit(self.index(0), self.index(len(self._order) - 1))
+
+    def set_opacity(self, opacity: float) -> None:
+        """Paint cracks more or less opaque, 0 to 1."""
+        self._opacity = opacity
+        self.forget(None)
+
+    def forget(self, cell: Cell | None) -> None:
+        """Paint a cell anew, or all of them."""
+        if cell is None:
+            self._pictures.clear()
+        else:
+            self._pictures.pop(cell, None)
+        self.repaint()
+
+    def cell(self, index: QModelIndex) -> Cell:
+        """Row and column of the cell at an index, from 0."""
+        return self._order[index.row()]
+
+    def index_of(self, cell: Cell | None) -> QModelIndex:
+        """Index of a cell; an invalid one if it is not listed."""
+        return self.index(self._order.index(cell)) if cell in self._order else QModelIndex()
+
+    def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
+        """Count the cells."""
+        return len(self._order)
+
+    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+        """Return picture, name, place or tooltip of a cell."""
+        if not index.isValid():
+            return None
+        cell = self._order[index.row()]
+        if role == Qt.ItemDataRole.DisplayRole:
+            return f"{cell[0] + 1} / {cell[1] + 1}"
+        if role == Qt.ItemDataRole.DecorationRole:
+            return self._picture(cell)
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return cell_text(self._review, cell)
+        if role == CELL_ROLE:
+            return cell
+        return None
+
+    def _picture(self, cell: Cell) -> QPixmap | None:
+        if self._thumbnails is None:
+            return None
+        if cell not in self._pictures:
+            mask = self._review.correction(cell)
+            painted = self._thumbnails.picture(cell, self._review.threshold, self._opacity, mask)
+            self._pictures[cell] = _pixmap(painted, self._ratio)
+        return self._pictures[cell]
+
+
+class TileDelegate(QStyledItemDelegate):
+    """Paints picture, place, verdict of the rater and marks of the other raters."""
+
+    def __init__(self, review: ReviewModel) -> None:
+        super().__init__()
+        self._review = review
+
+    def sizeHint(self, _: QStyleOptionViewItem, __: QModelIndex) -> QSize:  # noqa: N802
+        """Size of a tile with its bar."""
+        return QSize(THUMBNAIL + GAP, THUMBNAIL + BAR + GAP)
+
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex) -> None:
+        """Paint a tile."""
+        cell = index.data(CELL_ROLE)
+        picture = index.data(Qt.ItemDataRole.DecorationRole)
+        if cell is None or picture is None:
+            return
+        painter.save()
+        area = option.rect.adjusted(GAP // 2, GAP // 2, -(GAP // 2), -(GAP // 2))
+        size = picture.deviceIndependentSize().toSize()
+        left = area.left() + (THUMBNAIL - size.width()) // 2
+        painter.drawPixmap(left, area.top(), picture)
+        bar = QRect(area.left(), area.top() + THUMBNAIL, THUMBNAIL, BAR)
+        self._paint_bar(painter, bar, cell, option)
+        for k, verdict in enumerate(self._review.others(cell)[:5]):
+            _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)
+        if option.state & QStyle.StateFlag.State_Selected:
+            painter.setPen(QPen(option.palette.text().color(), 2))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(area.adjusted(-1, -1, 1, 1))
+        painter.restore()
+
+    def _paint_bar(
+        self, painter: QPainter, bar: QRect, cell: Cell, option: QStyleOptionViewItem
+    ) -> None:
+        verdict = self._review.verdict(cell)
+        name = f"{cell[0] + 1} / {cell[1] + 1}"
+        font = painter.font()
+        font.setPixelSize(11)
+        painter.setFont(font)
+        if verdict is None:
+            painter.setPen(option.palette.text().color())
+            painter.drawText(bar, Qt.AlignmentFlag.AlignCenter, name)
+            return
+        colour = QColor(verdict.kind.colour)
+        pending = self._review.is_pending(cell)
+        painter.fillRect(bar, colour)
+        if pending:  # hatched until it is stored
+            painter.fillRect(bar, Qt.BrushStyle.BDiagPattern)
+        painter.setPen(ink_on(colour))
+        text = f"{name}  {_SHORT.get(verdict.kind, verdict.kind.label)}"
+        painter.drawText(bar, Qt.AlignmentFlag.AlignCenter, text)
+
+
+_SHORT = {VerdictKind.INACTIVE: "inactive", VerdictKind.FINGER: "finger"}
+
+
+def cell_text(review: ReviewModel, cell: Cell) -> str:
+    """Everything about a cell: features, verdicts, notes."""
+    features = review.features(cell)
+    place = f"Row {cell[0] + 1}, column {cell[1] + 1}"
+    lines = [place if features is None else tooltip(features)]
+    if review.correction(cell) is not None:
+        lines.append("marks: corrected")
+    mine = review.verdict(cell)
+    for verdict in [*([mine] if mine else []), *review.others(cell)]:
+        note = f" ({verdict.note})" if verdict.note else ""
+        state = ", not stored yet" if verdict is mine and review.is_pending(cell) else ""
+        lines.append(f"{verdict.rater}: {verdict.kind.label}{note}{state}")
+    return "\n".join(lines)
+
+
+def ink_on(colour: QColor) -> QColor:
+    """Black or white, whichever is read better on a colour."""
+    light = 0.299 * colour.red() + 0.587 * colour.green() + 0.114 * colour.blue()
+    return QColor("black" if light > 110 else "white")
+
+
+def _paint_other(painter: QPainter, x: int, y: int, verdict: Verdict) -> None:
+    box = QRect(x, y, 12, 12)
+    colour = QColor(verdict.kind.colour)
+    painter.fillRect(box, colour)
+    painter.setPen(QColor("black"))
+    painter.drawRect(box)
+    font = painter.font()
+    font.setPixelSize(9)
+    painter.setFont(font)
+    painter.setPen(ink_on(colour))
+    painter.drawText(box, Qt.AlignmentFlag.AlignCenter, verdict.kind.key.upper())
+
+
+def _pixmap(picture: np.ndarray, ratio: float) -> QPixmap:
+    picture = np.ascontiguousarray(picture)
+    height, width = picture.shape[:2]
+    image = QImage(picture.data, width, height, 3 * width, QImage.Format.Format_RGB888)
+    pixmap = QPixmap.fromImage(image.copy())
+    pixmap.setDevicePixelRatio(ratio)
+    return pixmap

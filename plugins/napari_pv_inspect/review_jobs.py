@@ -1,0 +1,126 @@
+"""What a review does with its store, in the thread that may wait for the disk. No Qt, no napari."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from napari_pv_inspect.review_subject import Mask, Subject
+from pv_inspect.cracks import CellFeatures
+from pv_inspect.errors import InspectionError
+from pv_inspect.review import (
+    Cell,
+    Change,
+    ModuleData,
+    ReviewState,
+    ReviewStore,
+    Verdict,
+    of_rater,
+)
+
+__all__ = [
+    "Corrected",
+    "Loaded",
+    "Stepped",
+    "load",
+    "step",
+    "store_marks",
+    "take_marks",
+    "take_verdict",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """Corrected marks and the features of the cell with them, None if they can't be measured."""
+
+    mask: Mask
+    features: CellFeatures | None
+
+    @classmethod
+    def of(cls, subject: Subject | None, cell: Cell, mask: Mask | None) -> Corrected | None:
+        """Measure marks; None if there are none."""
+        if mask is None:
+            return None
+        try:
+            return cls(mask, None if subject is None else subject.measured(cell, mask))
+        except InspectionError:  # drawn on a result of another size, or the detector is missing
+            return cls(mask, None)
+
+    def store(self, store: ReviewStore, cell: Cell, rater: str) -> None:
+        """Store marks and measures."""
+        length = isolated = None
+        if self.features is not None:
+            length, isolated = self.features.crack_length_cells, self.features.isolated_area_share
+            isolated = None if math.isnan(isolated) else isolated
+        store.correct(cell, rater, self.mask, length, isolated)
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """What a store holds, as one rater sees it."""
+
+    rater: str
+    verdicts: tuple[Verdict, ...]
+    corrected: Mapping[Cell, Corrected]
+    module_data: ModuleData
+    state: ReviewState | None
+
+
+@dataclass(frozen=True, eq=False)
+class Stepped:
+    """What an undo or redo has changed, and the marks that hold now."""
+
+    change: Change
+    corrected: Corrected | None
+
+
+def load(store: ReviewStore, subject: Subject | None, rater: str) -> Loaded:
+    """Read all that a store holds."""
+    masks = store.masks(rater)
+    measured = {cell: Corrected.of(subject, cell, mask) for cell, mask in masks.items()}
+    corrected = {cell: found for cell, found in measured.items() if found is not None}
+    data, state = store.module_data(), store.remembered(rater)
+    return Loaded(rater, store.current(), corrected, data, state)
+
+
+def step(store: ReviewStore, way: str, subject: Subject | None, rater: str) -> Stepped | None:
+    """Undo or redo the rater's last edit; None if there is none."""
+    change = store.undo(rater) if way == "undo" else store.redo(rater)
+    if change is None:
+        return None
+    mask = store.mask(change.cell, rater)
+    return Stepped(change, Corrected.of(subject, change.cell, mask))
+
+
+def store_marks(
+    store: ReviewStore, subject: Subject, cell: Cell, rater: str, mask: Mask | None
+) -> Corrected | None:
+    """Measure and store corrected marks; None goes back to those of the detector."""
+    corrected = Corrected.of(subject, cell, mask)
+    if corrected is None:
+        store.correct(cell, rater, None)
+    else:
+        corrected.store(store, cell, rater)
+    return corrected
+
+
+def take_verdict(verdict: Verdict) -> Callable[[ReviewStore], None]:
+    """Job that takes a verdict over from another store, unless this one knows better."""
+
+    def give(store: ReviewStore) -> None:
+        if verdict.cell not in of_rater(store.current(), verdict.rater):
+            store.give(verdict)
+
+    return give
+
+
+def take_marks(cell: Cell, corrected: Corrected, rater: str) -> Callable[[ReviewStore], None]:
+    """Job that takes marks over from another store, unless this one knows better."""
+
+    def correct(store: ReviewStore) -> None:
+        if store.mask(cell, rater) is None:
+            corrected.store(store, cell, rater)
+
+    return correct

@@ -1,0 +1,169 @@
+"""What a review stores, one thing after the other in a thread of its own. No Qt, no napari.
+
+Storing waits for the disk, so that no other thread may do it. What can't be stored stays first in
+the line and is tried again: nothing that was submitted is skipped or overtaken.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Condition, Thread
+from time import monotonic
+from typing import Any
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.review import ReviewStore
+
+__all__ = ["Journal", "wait_for_all"]
+
+RETRY_S = 2.0
+POLL_S = 2.0
+
+Job = Callable[[ReviewStore], Any]
+Done = Callable[[Any], None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    job: Job
+    done: Done
+
+
+class Journal:
+    """Line of things to store in a result folder.
+
+    Until there is a folder they wait.
+
+    Parameters
+    ----------
+    on_failure : callable
+        Gets one sentence, once per series of failures.
+    watch : Job
+        Asked every ``poll_s`` while there is nothing to store.
+    on_watched : Done
+        Gets what ``watch`` returned, unless it is None.
+    open_store : callable, optional
+        Opens the store of a folder.
+    retry_s, poll_s : float
+
+    Notes
+    -----
+    Callbacks run in the thread that calls `collect`.
+    """
+
+    def __init__(
+        self,
+        on_failure: Callable[[str], None],
+        watch: Job,
+        on_watched: Done,
+        open_store: Callable[[Path], ReviewStore] = ReviewStore,
+        retry_s: float = RETRY_S,
+        poll_s: float = POLL_S,
+    ) -> None:
+        self.folder: Path | None = None
+        self._on_failure = on_failure
+        self._watch = _Entry(watch, on_watched)
+        self._open_store = open_store
+        self._retry_s, self._poll_s = retry_s, poll_s
+        self._changed = Condition()
+        self._line: deque[_Entry] = deque()
+        self._finished: deque[Callable[[], None]] = deque()
+        self._failing = self._closing = self._giving_up = self._hurry = False
+        self._thread: Thread | None = None
+
+    @property
+    def pending(self) -> int:
+        """How many things are not stored yet."""
+        return len(self._line)
+
+    @property
+    def failing(self) -> bool:
+        """Whether the last attempt to store something failed."""
+        return self._failing
+
+    def submit(self, job: Job, done: Done) -> None:
+        """Put something at the end of the line; ``done`` gets what it returned."""
+        with self._changed:
+            self._line.append(_Entry(job, done))
+            self._changed.notify_all()
+
+    def attach(self, folder: Path, first: Job, done: Done) -> None:
+        """Begin to store into a folder; ``first`` goes before all that waits.
+
+        Has no effect on a journal that has its folder.
+        """
+        if self.folder is not None:
+            return
+        self.folder = folder
+        with self._changed:
+            self._line.appendleft(_Entry(first, done))
+        self._thread = Thread(target=self._work, name="pv-inspect review", daemon=True)
+        self._thread.start()
+
+    def collect(self) -> None:
+        """Report what happened since the last time."""
+        while self._finished:
+            self._finished.popleft()()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Try what failed again now and wait; returns whether everything is stored."""
+        if self._thread is None:
+            return not self._line
+        with self._changed:
+            self._hurry = True
+            self._changed.notify_all()
+            return self._changed.wait_for(lambda: not self._line, timeout_s)
+
+    def close(self, give_up: bool) -> None:
+        """End the thread as soon as the line is empty; ``give_up``: also if storing fails."""
+        with self._changed:
+            self._closing = self._hurry = True
+            self._giving_up = give_up
+            self._changed.notify_all()
+
+    def _work(self) -> None:
+        assert self.folder is not None
+        with self._open_store(self.folder) as store:
+            while (entry := self._next()) is not None:
+                self._try(store, entry)
+
+    def _next(self) -> _Entry | None:
+        """Wait for something to do; None: it is time to end."""
+        with self._changed:
+            if self._failing:
+                self._changed.wait_for(lambda: self._hurry, self._retry_s)
+                self._hurry = False
+            else:
+                self._changed.wait_for(lambda: self._line or self._closing, self._poll_s)
+            if self._closing and (not self._line or (self._failing and self._giving_up)):
+                return None
+            return self._line[0] if self._line else self._watch
+
+    def _try(self, store: ReviewStore, entry: _Entry) -> None:
+        try:
+            value = entry.job(store)
+        except Exception as error:  # the thread must live on: what waits is not lost
+            sentence = str(error)
+            if not isinstance(error, InspectionError):
+                sentence = f"The review can't be stored ({type(error).__name__}: {error})."
+            if not self._failing:
+                self._finished.append(lambda: self._on_failure(sentence))
+            with self._changed:
+                self._failing = True
+            return
+        if entry is not self._watch or value is not None:
+            self._finished.append(lambda: entry.done(value))
+        with self._changed:
+            self._failing = False
+            if entry is not self._watch:
+                self._line.popleft()
+            self._changed.notify_all()
+
+
+def wait_for_all(journals: list[Journal], timeout_s: float) -> bool:
+    """Wait until all journals have stored everything; False if the time did not suffice."""
+    end = monotonic() + timeout_s
+    return all(journal.wait(max(end - monotonic(), 0.0)) for journal in journals)

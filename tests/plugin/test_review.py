@@ -1,0 +1,396 @@
+"""The review in the window: keys, gallery, cell view, brush, closing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from time import sleep
+from typing import Any
+
+import numpy as np
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import QPoint, QPointF, QSettings, Qt
+from qtpy.QtGui import QWheelEvent
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
+
+from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
+from napari_pv_inspect.docks.gallery_list import cell_text
+from napari_pv_inspect.frame_panels import best_frame, contours
+from napari_pv_inspect.workbench import Workbench
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import read_result, write_result
+from pv_inspect.review import ReviewStore, Verdict, VerdictKind
+
+LEFT, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
+NONE = Qt.KeyboardModifier.NoModifier
+
+
+@pytest.fixture(autouse=True)
+def settings_of_its_own(tmp_path: Path) -> None:
+    kind = QSettings.Format.IniFormat
+    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+
+
+@pytest.fixture
+def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
+    """Viewer, dock and gallery with a whole inspection that is saved."""
+    viewer, dock, cells = bench
+    show(dock, tiny_inspection)
+    dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
+    stored(dock, qtbot)
+    viewer.window._qt_window.show()
+    return viewer, dock, cells
+
+
+def show(dock: Any, inspection: Inspection) -> None:
+    model = dock.bench.model
+    model.inspection = inspection
+    model.inspection_changed.emit(inspection)
+
+
+def stored(dock: Any, qtbot: QtBot) -> None:
+    state = dock.bench.review.state
+    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    state.collect()
+
+
+def press(widget: Any, key: Any, qtbot: QtBot) -> None:
+    widget.window().activateWindow()
+    widget.setFocus()
+    qtbot.waitUntil(widget.hasFocus, timeout=2000)
+    QTest.keyClick(widget, key)
+
+
+def test_a_key_in_the_gallery_stores_the_verdict_and_goes_on(
+    saved: Any, qtbot: QtBot, tmp_path: Path
+) -> None:
+    _, dock, cells = saved
+    model = dock.bench.model
+    model.select_cell((0, 0))
+    for kind in VerdictKind:
+        press(cells.view, kind.key, qtbot)
+    stored(dock, qtbot)
+    found = ReviewStore(tmp_path / "out").current()
+    assert [v.kind for v in found] == list(VerdictKind)
+    assert [v.cell for v in found] == [(k // 4, k % 4) for k in range(8)]
+    assert model.selected_cell == (2, 0)
+    assert dock.verdict.progress.text() == "8 of 12 cells judged"
+    dock.bench.history.undo()
+    stored(dock, qtbot)
+    assert len(ReviewStore(tmp_path / "out").current()) == 7
+    assert dock.verdict.progress.text() == "7 of 12 cells judged"
+
+
+def test_all_keys_of_the_review_are_in_the_help(saved: Any) -> None:
+    viewer, dock, cells = saved
+    cells.open_cell()
+    keys = {(key.sequence, key.group) for key in dock.bench.shortcuts.keys}
+    for kind in VerdictKind:
+        assert (kind.key.upper(), "Gallery") in keys
+        assert (kind.key.upper(), "Cell view") in keys
+    assert len(viewer.window.dock_widgets) == 3
+
+
+def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
+    saved: Any, qtbot: QtBot, tmp_path: Path
+) -> None:
+    _, dock, cells = saved
+    dock.show_page("Review")
+    dock.bench.model.select_cell((1, 1))
+    note: QLineEdit = dock.verdict.note
+    note.setFocus()
+    QTest.keyClicks(note, "back of a crack")
+    assert dock.bench.review.state.progress.judged == 0
+    press(cells.view, "b", qtbot)
+    stored(dock, qtbot)
+    (verdict,) = ReviewStore(tmp_path / "out").current()
+    assert (verdict.cell, verdict.kind) == ((1, 1), VerdictKind.CRACK_B)
+    assert verdict.note == "back of a crack"
+    assert "back of a crack" in cell_text(dock.bench.review.state, (1, 1))
+
+
+def test_the_gallery_filters_by_verdict(saved: Any, qtbot: QtBot) -> None:
+    _, dock, cells = saved
+    review = dock.bench.review.state
+    review.give((0, 2), VerdictKind.CRACK_A)
+    cells.filter.setCurrentText("crack A")
+    assert [cells.cells.cell(cells.cells.index(k)) for k in range(cells.cells.rowCount())] == [
+        (0, 2)
+    ]
+    cells.filter.setCurrentText("not judged")
+    assert cells.cells.rowCount() == 11
+    dock.bench.model.select_cell((0, 0))
+    dock.bench.review.judge(VerdictKind.OK)
+    assert cells.cells.rowCount() == 10
+    assert dock.bench.model.selected_cell == (0, 1)
+    assert cells.cells.cell(cells.view.currentIndex()) == (0, 1)
+    stored(dock, qtbot)
+
+
+def test_opacity_and_threshold_only_repaint(saved: Any) -> None:
+    _, dock, cells = saved
+    before = dock.bench.review.state.features((0, 0))
+
+    def painted() -> int:
+        picture = cells.cells._picture((1, 1)).toImage()
+        colours = (
+            picture.pixelColor(x, y)
+            for x in range(picture.width())
+            for y in range(picture.height())
+        )
+        return sum(c.red() > c.blue() for c in colours)
+
+    cells.threshold.setValue(100)
+    few = painted()
+    cells.threshold.setValue(0)
+    assert painted() > few
+    cells.opacity.setValue(0)
+    assert painted() == 0
+    assert dock.bench.review.state.features((0, 0)) is before
+
+
+def test_the_first_verdict_on_an_unsaved_inspection_asks_to_save_and_is_kept(
+    bench: Any,
+    tiny_inspection: Inspection,
+    tmp_path: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, dock, _ = bench
+    show(dock, tiny_inspection)
+    asked: list[int] = []
+
+    def choose(*_: Any, **__: Any) -> tuple[str, str]:
+        asked.append(1)
+        return str(tmp_path / "later"), ""
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", choose)
+    dock.bench.model.select_cell((0, 0))
+    dock.bench.review.judge(VerdictKind.CRACK_C)
+    dock.bench.review.judge(VerdictKind.OK)
+    assert "2 not stored yet" in dock.verdict.progress.text()
+    stored(dock, qtbot)
+    assert asked == [1]
+    found = ReviewStore(tmp_path / "later").current()
+    assert [v.kind for v in found] == [VerdictKind.CRACK_C, VerdictKind.OK]
+
+
+def test_closing_waits_for_what_is_not_stored_yet(
+    saved: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer, dock, _ = saved
+    give = ReviewStore.give
+
+    def slow(store: ReviewStore, verdict: Verdict) -> None:
+        sleep(0.1)
+        give(store, verdict)
+
+    monkeypatch.setattr(ReviewStore, "give", slow)
+    for col in range(4):
+        dock.bench.review.state.give((0, col), VerdictKind.OK)
+    viewer.close()
+    assert len(ReviewStore(tmp_path / "out").current()) == 4
+
+
+def test_if_nothing_can_be_stored_the_user_decides_about_closing(
+    saved: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer, dock, _ = saved
+    popups: list[str] = []
+    monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
+    monkeypatch.setattr("napari_pv_inspect.reviewer.PATIENCE_S", 0.1)
+
+    def full(*_: object) -> None:
+        raise InspectionError("Nothing more can be stored: the disk is full.")
+
+    monkeypatch.setattr(ReviewStore, "give", full)
+    answers = [QMessageBox.StandardButton.Cancel, QMessageBox.StandardButton.Discard]
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: answers.pop(0))
+    dock.bench.review.state.give((0, 0), VerdictKind.OK)
+    viewer.window._qt_window.close()
+    assert viewer.window._qt_window.isVisible(), "Cancel keeps the window"
+    assert Workbench.of(viewer) is dock.bench
+    viewer.close()
+    assert answers == []
+    assert popups == ["Nothing more can be stored: the disk is full."]
+
+
+def test_verdicts_come_back_with_a_result_folder(
+    make_napari_viewer: Callable[..., Any], tiny_inspection: Inspection, tmp_path: Path, qtbot: Any
+) -> None:
+    from napari_pv_inspect.application import build
+
+    write_result(tiny_inspection, tmp_path / "out")
+    with ReviewStore(tmp_path / "out") as store:
+        store.give(Verdict(1, 2, VerdictKind.CRACK_B, "Ben", "seen"))
+    viewer = make_napari_viewer()
+    dock, cells = build(viewer)
+    dock.bench.model.open_result(read_result(tmp_path / "out"))
+    stored(dock, qtbot)
+    assert [v.rater for v in dock.bench.review.state.others((1, 2))] == ["Ben"]
+    dock.bench.model.select_cell((1, 2))
+    assert "Ben: crack B (seen)" in cells.caption.text()
+    dock.bench.review.set_rater("Ben")
+    stored(dock, qtbot)
+    assert dock.verdict.buttons[VerdictKind.CRACK_B].isChecked()
+    cells.open_cell()
+    view = viewer.window.dock_widgets["Cell"]
+    assert view.frame_panel.sentence == view.bicubic_panel.sentence == NO_FRAMES
+
+
+@pytest.fixture
+def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
+    """Controls and cell view at the cell in row 2, column 2."""
+    viewer, dock, cells = saved
+    dock.bench.model.select_cell((1, 1))
+    cells.open_cell()
+    view = viewer.window.dock_widgets["Cell"]
+    qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
+    return dock, view
+
+
+def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
+    dock, view = large
+    assert all(panel._image is not None for panel in view.panels)
+    inspection = dock.bench.model.inspection
+    frame = best_frame(inspection, (1, 1))
+    assert inspection.sequence.names[frame] in view.frame_panel.title
+    tile = inspection.tiles.images[1, 1]
+    bicubic = view._frame.bicubic
+    inner = slice(8, -8), slice(8, -8)
+    assert np.corrcoef(tile[inner].ravel(), bicubic[inner].ravel())[0, 1] > 0.8
+
+
+def test_arrow_keys_go_to_other_cells(large: Any, qtbot: QtBot) -> None:
+    dock, view = large
+    press(view, Qt.Key.Key_Right, qtbot)
+    assert dock.bench.model.selected_cell == (1, 2)
+    press(view, Qt.Key.Key_Down, qtbot)
+    assert dock.bench.model.selected_cell == (2, 2)
+    press(view, "k", qtbot)
+    assert dock.bench.review.state.verdict((2, 2)).kind is VerdictKind.OK
+    stored(dock, qtbot)
+
+
+def test_all_pictures_zoom_and_move_together(large: Any) -> None:
+    _, view = large
+    panel = view.support_panel
+    place = QPointF(panel.rect().center()) + QPointF(9, 4)
+    before = panel.to_picture().map(place)
+    wheel = QWheelEvent(
+        place,
+        QPointF(panel.mapToGlobal(place.toPoint())),
+        QPoint(),
+        QPoint(0, 360),
+        Qt.MouseButton.NoButton,
+        NONE,
+        Qt.ScrollPhase.NoScrollPhase,
+        False,
+    )
+    QApplication.sendEvent(panel, wheel)
+    after = panel.to_picture().map(place)
+    assert (after.x(), after.y()) == pytest.approx((before.x(), before.y()), abs=1e-6)
+    assert view.shared.zoom == pytest.approx(1.2**3)
+    start = panel.rect().center()
+    QTest.mousePress(panel, LEFT, NONE, start)
+    QTest.mouseMove(panel, start + QPoint(10, 0))
+    QTest.mouseRelease(panel, LEFT, NONE, start + QPoint(10, 0))
+    assert view.shared.x < 0.5
+    shown = [p.to_picture().map(QPointF(p.rect().center())) for p in view.panels]
+    for other in shown[1:]:
+        assert (other.x(), other.y()) == pytest.approx((shown[0].x(), shown[0].y()), abs=0.5)
+
+
+def draw(view: CellDock, button: Any, y: float) -> None:
+    """Draw a line across the middle of the cell; ``y`` in parts of its height."""
+    panel = view.cell_panel
+    h, w = view._review.subject.tiles.images.shape[2:]
+    start, end = (panel._transform().map(QPointF(x * w, y * h)).toPoint() for x in (0.2, 0.8))
+    QTest.mousePress(panel, button, NONE, start)
+    QTest.mouseMove(panel, end)
+    QTest.mouseRelease(panel, button, NONE, end)
+
+
+def test_brush_and_eraser_change_the_measured_length_and_can_be_undone(
+    large: Any, qtbot: QtBot, tmp_path: Path
+) -> None:
+    dock, view = large
+    state, history = dock.bench.review.state, dock.bench.history
+    before = state.features((1, 1)).crack_length_cells
+    view.bar.drawing.setChecked(True)
+    draw(view, LEFT, 0.3)
+    assert history.undo_text == "Correct crack marks, row 2, column 2"
+    stored(dock, qtbot)
+    painted = state.features((1, 1)).crack_length_cells
+    assert painted > before + 0.3
+    assert f"{painted:.2f} cell widths" in view.caption.text()
+    assert ReviewStore(tmp_path / "out").mask((1, 1), state.rater) is not None
+    view.bar.brush.setValue(15)
+    draw(view, RIGHT, 0.3)
+    stored(dock, qtbot)
+    assert state.features((1, 1)).crack_length_cells < painted - 0.3
+    history.undo()
+    stored(dock, qtbot)
+    assert state.features((1, 1)).crack_length_cells == pytest.approx(painted)
+    history.undo()
+    stored(dock, qtbot)
+    assert state.features((1, 1)).crack_length_cells == before
+    assert state.correction((1, 1)) is None
+
+
+def test_table_and_report_are_written_with_the_module_data(
+    saved: Any, qtbot: QtBot, tmp_path: Path
+) -> None:
+    _, dock, _ = saved
+    dock.bench.review.state.give((0, 0), VerdictKind.INACTIVE)
+    dock.export.fields["serial_number"].setText("PV-0815")
+    dock.export.fields["current_a"].setText("8,5")
+    dock.export.fields["serial_number"].editingFinished.emit()
+    dock.export.export.click()
+    page = tmp_path / "out" / "review.html"
+    qtbot.waitUntil(page.exists, timeout=30_000)
+    assert "PV-0815" in page.read_text()
+    assert "inactive_area" in (tmp_path / "out" / "verdicts.csv").read_text()
+    assert ReviewStore(tmp_path / "out").module_data().current_a == 8.5
+    qtbot.waitUntil(lambda: "review.html" in dock.run.message.text(), timeout=10_000)
+
+
+def test_a_number_that_is_none_is_one_sentence(saved: Any, monkeypatch: Any) -> None:
+    _, dock, _ = saved
+    popups: list[str] = []
+    monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
+    dock.export.fields["exposure_s"].setText("long")
+    dock.export.fields["exposure_s"].editingFinished.emit()
+    assert len(popups) == 1
+    assert dock.export.fields["exposure_s"].text() == ""
+
+
+def test_the_name_of_the_rater_is_remembered(
+    saved: Any, make_napari_viewer: Callable[..., Any]
+) -> None:
+    _, dock, _ = saved
+    dock.verdict.rater.setText("Ada")
+    dock.verdict.rater.editingFinished.emit()
+    assert Workbench.of(make_napari_viewer()).review.state.rater == "Ada"
+
+
+def test_every_control_of_the_review_has_a_tooltip(large: Any) -> None:
+    from qtpy.QtWidgets import QAbstractSlider, QAbstractSpinBox, QPushButton
+
+    dock, view = large
+    for kind in (QPushButton, QAbstractSpinBox, QAbstractSlider, QLineEdit):
+        for control in view.findChildren(kind) + dock.export.findChildren(kind):
+            assert control.toolTip() or control.parentWidget().toolTip(), control
+
+
+def test_outlines_enclose_their_pixels() -> None:
+    mask = np.zeros((10, 12), bool)
+    mask[4, 2:9] = True
+    (line,) = contours(mask)
+    x, y = line.T
+    assert (x.min(), x.max()) == pytest.approx((2, 9), abs=0.15)
+    assert (y.min(), y.max()) == pytest.approx((4, 5), abs=0.15)
