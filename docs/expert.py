@@ -66,7 +66,7 @@ class Expert:
             QApplication.processEvents()
             time.sleep(0.005)
 
-    def until(self, happened: Callable[[], Any], what: str, timeout_s: float = 300.0) -> None:
+    def until(self, happened: Callable[[], Any], what: str, timeout_s: float = 60.0) -> None:
         """Wait for something; AssertionError if it does not come."""
         end = time.monotonic() + timeout_s
         while not happened():
@@ -75,7 +75,7 @@ class Expert:
 
     def until_idle(self) -> None:
         """Wait for the end of the run."""
-        self.until(lambda: self.model.run_state is RunState.IDLE, "the end of the run")
+        self.until(lambda: self.model.run_state is RunState.IDLE, "the end of the run", 300.0)
         self.wait(0.5)
 
     # Mouse and keyboard

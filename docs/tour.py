@@ -20,11 +20,12 @@ import napari
 import numpy as np
 from expert import Expert
 from qtpy.QtCore import QPoint, QPointF, Qt
+from qtpy.QtWidgets import QPushButton, QWidget
 
 from napari_pv_inspect.frame_table import ticked
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.sample import sample_folder
-from pv_inspect.review import ReviewStore, VerdictKind
+from pv_inspect.review import Cell, ReviewStore, Verdict, VerdictKind
 
 __all__ = ["walk"]
 
@@ -53,16 +54,18 @@ def walk(open_viewer: Callable[[], Any], sequence: Path, out: Path) -> None:
         edit_a_point(expert)
         bend_the_grid(expert)
         leave_a_frame_out(expert)
+        run_and_cancel(expert)
         tune(expert)
         run(expert)
         save(expert, result)
         judge(expert)
         correct_marks(expert)
         export(expert, result)
+        left_at = expert.model.selected_cell
         given = {cell: v.kind for cell, v in _verdicts(result).items()}
         expert.leave()
         expert.sit_down()
-        come_back(expert, result, given)
+        come_back(expert, result, given, left_at)
         expert.leave()
 
 
@@ -96,8 +99,7 @@ def find_the_grid(expert: Expert) -> None:
 def edit_a_point(expert: Expert) -> None:
     """Drag a crossing point; the fit follows; take it back."""
     expert.turn_to("Grid")
-    expert.bench.navigator.to_frames()
-    expert.wait(0.5)
+    expert.click(_button(expert.dock.result, "Frames"))
     expert.click(expert.dock.points.select)
     points, frame = expert.viewer.layers["Crossing points"], expert.bench.frames.frame
     here = np.flatnonzero(points.data[:, 0] == frame)
@@ -142,6 +144,19 @@ def leave_a_frame_out(expert: Expert) -> None:
     assert frames.table.rows[3].wanted
 
 
+def run_and_cancel(expert: Expert) -> None:
+    """Run, and cancel when the module image grows: what was found so far is kept."""
+    box = expert.dock.run
+    expert.click(box.run)
+    expert.until(lambda: "Module image" in expert.viewer.layers, "a first module image")
+    assert expert.model.run_state is RunState.RUNNING
+    expert.photograph("3a-run")
+    expert.click(box.cancel)
+    expert.until_idle()
+    assert expert.model.inspection.registration is not None
+    expert.photograph("3b-cancelled")
+
+
 def tune(expert: Expert) -> None:
     """Watch one cell while lambda moves; compare with the bicubic picture."""
     expert.turn_to("Image")
@@ -163,7 +178,7 @@ def tune(expert: Expert) -> None:
     )
     assert abs(view.divider - 0.65) < 0.05, view.divider
     assert shown.cell is not None
-    expert.photograph("3-tuning")
+    expert.photograph("3c-tuning")
     expert.click(expert.dock.image.automatic)
     assert expert.model.settings.prior_weight is None
     live.parentWidget().close()
@@ -171,21 +186,12 @@ def tune(expert: Expert) -> None:
 
 
 def run(expert: Expert) -> None:
-    """Run, cancel in the middle, run again to the end."""
-    box = expert.dock.run
-    expert.click(box.run)
-    expert.until(lambda: "Module image" in expert.viewer.layers, "a first module image")
-    expert.wait(1.0)
-    if expert.model.run_state is RunState.RUNNING:
-        expert.photograph("4a-run")
-        expert.click(box.cancel)
+    """Run to the end."""
+    expert.click(expert.dock.run.run)
     expert.until_idle()
-    expert.photograph("4b-cancelled")
-    if expert.model.to_do:
-        expert.click(box.run)
-        expert.until_idle()
     assert expert.model.inspection.complete
-    expert.photograph("4c-done")
+    expert.click(_button(expert.dock.result, "Both"))
+    expert.photograph("4-done")
 
 
 def save(expert: Expert, folder: Path) -> None:
@@ -252,7 +258,9 @@ def export(expert: Expert, folder: Path) -> None:
     expert.photograph("5c-report")
 
 
-def come_back(expert: Expert, folder: Path, given: dict[tuple[int, int], VerdictKind]) -> None:
+def come_back(
+    expert: Expert, folder: Path, given: dict[Cell, VerdictKind], left_at: Cell | None
+) -> None:
     """Open the result folder: all is as it was."""
     expert.choose(lambda: expert.click(expert.dock.open_folder), folder)
     expert.until(lambda: expert.model.inspection is not None, "the inspection")
@@ -260,7 +268,7 @@ def come_back(expert: Expert, folder: Path, given: dict[tuple[int, int], Verdict
     expert.until(lambda: state.folder is not None and state.pending == 0, "the verdicts", 20.0)
     expert.wait(1.0)
     assert expert.model.inspection.complete
-    assert expert.model.selected_cell == (0, 1)
+    assert expert.model.selected_cell == left_at
     assert state.rater == "Ada"
     assert {cell: state.verdict(cell).kind for cell in given} == given
     assert state.note((0, 1)) == "from the busbar outwards"
@@ -271,7 +279,11 @@ def come_back(expert: Expert, folder: Path, given: dict[tuple[int, int], Verdict
     expert.photograph("6-reopened")
 
 
-def _verdicts(folder: Path) -> dict[tuple[int, int], Any]:
+def _button(within: QWidget, text: str) -> QPushButton:
+    return next(b for b in within.findChildren(QPushButton) if b.text() == text)
+
+
+def _verdicts(folder: Path) -> dict[Cell, Verdict]:
     with ReviewStore(folder) as store:
         return {verdict.cell: verdict for verdict in store.current()}
 
