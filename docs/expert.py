@@ -20,7 +20,7 @@ from napari_pv_inspect.model import RunState
 __all__ = ["SIZE", "Expert"]
 
 SIZE = (1280, 800)
-COLOURS = 192
+NO_DITHER = Image.Dither.NONE
 LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 
 
@@ -165,8 +165,8 @@ class Expert:
             if isinstance(dialog, QFileDialog) and not done:
                 done.append(dialog)
                 line = dialog.findChild(QLineEdit)
-                line.selectAll()
-                QTest.keyClicks(line, str(path))
+                # Typed, its completer gets in the way.
+                line.setText(str(path))
                 QTimer.singleShot(0, dialog, dialog.accept)
 
         timer.timeout.connect(answer)
@@ -193,7 +193,7 @@ class Expert:
         pixels = rows[:, : 3 * width].reshape(height, width, 3)
         assert pixels.max() > 0, "the picture is black"
         file = self._out / f"{name}.png"
-        few = Image.fromarray(pixels).quantize(COLOURS, dither=Image.Dither.NONE)
+        few = Image.fromarray(pixels).quantize(256, Image.Quantize.MAXCOVERAGE, dither=NO_DITHER)
         few.save(file, optimize=True)
         self.pictures.append(file)
         sys.stdout.write(f"{file}\n")
