@@ -5,12 +5,15 @@
     python benchmarks/reconstruction.py preview SEQUENCE...
     python benchmarks/reconstruction.py frames SEQUENCE... --score SCORER
     python benchmarks/reconstruction.py lambda SEQUENCE... --score SCORER
+    python benchmarks/reconstruction.py magnification SEQUENCE... --score SCORER
 
 ``speed``: wall and CPU seconds, peak memory of a process that does nothing else. ``growth``: the
 same over the number of frames, the magnification and the size of the module, on simulated
 sequences with their true geometry. ``preview``: one cell, first and after changes. ``frames``: PSNR
-over the number of frames. ``lambda``: PSNR over lambda beside the automatic choice. The last two
-need the truth and score_sequence.py. Compiled code is cached before anything is timed.
+over the number of frames. ``lambda``: PSNR over lambda beside the automatic choice.
+``magnification``: gain over one bicubic frame at
+3x and 4x. The last three need the truth and score_sequence.py. Compiled code is cached before
+anything is timed.
 """
 
 from __future__ import annotations
@@ -36,7 +39,7 @@ from pv_inspect.calibration import calibrate
 from pv_inspect.camera import Camera
 from pv_inspect.detection import detect
 from pv_inspect.preview import Preview, Region
-from pv_inspect.reconstruction import Reconstruction, reconstruct
+from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -243,6 +246,25 @@ def prior_weights(options: argparse.Namespace) -> None:
         )
 
 
+def magnifications(options: argparse.Namespace) -> None:
+    """Print PSNR at 3x and 4x beside one frame, rectified with our geometry."""
+    score = scorer(options.score)
+    print(f"{'flat PSNR, dB':14} {'':>4} {'bicubic':>8} {'ours':>8} {'gain':>8}")
+    for folder in options.sequences:
+        sequence, registration = registered(folder)
+        first = int(np.flatnonzero(registration.used)[0])
+        for magnification in (3.0, 4.0):
+            settings = Settings(magnification=magnification)
+            made = drained(reconstruct(sequence, registration, settings))
+            single = replace(made, image=bicubic(sequence, registration, made.grid, first))
+            before, after = (score(folder, registration, one) for one in (single, made))
+            print(
+                f"{folder.name:14} {magnification:3g}x {before:8.2f} {after:8.2f} "
+                f"{after - before:8.2f}",
+                flush=True,
+            )
+
+
 def scorer(path: Path) -> Callable[[Path, Registration, Reconstruction], float]:
     """Flat PSNR of a reconstruction, by score_sequence.py."""
     spec = importlib.util.spec_from_file_location("score_sequence", path)
@@ -277,6 +299,7 @@ def main() -> None:
         "preview": preview,
         "frames": frames,
         "lambda": prior_weights,
+        "magnification": magnifications,
     }
     for name, task in tasks.items():
         command = commands.add_parser(name)
@@ -285,7 +308,7 @@ def main() -> None:
             command.add_argument("sequences", nargs="+", type=Path, metavar="SEQUENCE")
         if name == "speed":
             command.add_argument("--magnification", type=float, default=4.0)
-        if name in ("frames", "lambda"):
+        if name in ("frames", "lambda", "magnification"):
             command.add_argument("--score", type=Path, required=True, metavar="SCORER")
     options = parser.parse_args()
     options.task(options)

@@ -47,6 +47,8 @@ TYPICAL_SIGMA_LR_PX = 0.45
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
 _TYPICAL_STEPS = 25.0
+# The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
+_PSF_MAGNIFICATION = 4.0
 # Solver steps to the module image that the sensor is judged by.
 _FIRST_LOOK = 10
 # A finer one takes a third more steps for less than 0.05 dB.
@@ -177,7 +179,7 @@ def reconstruct(
         del first
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, photometry, grid, rays, motion)
+        sigma = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
     data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, look)
     windows = windows_of(grid) if settings.prior_weight is None else []
     trials = yield from _all_added(data, used, windows, 0.4, 0.5)
@@ -366,11 +368,11 @@ def _estimate_psf(
     sequence: Sequence,
     registration: Registration,
     photometry: Photometry | None,
-    grid: HrGrid,
     rays: SensorRays,
     motion: NDArray[np.float64],
 ) -> Generator[Progress, None, float]:
     """Estimate the optical sigma on the part of the module with the most detail."""
+    grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, _PSF_MAGNIFICATION)
     used = np.flatnonzero(registration.used)
     if used.size > _PSF_FRAMES:
         used = used[np.linspace(0, used.size - 1, _PSF_FRAMES).round().astype(int)]

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from napari_pv_inspect.review_jobs import Corrected
+from napari_pv_inspect.review_subject import Mask
 from pv_inspect.review import Cell, Verdict, of_rater
 
 __all__ = ["Book"]
@@ -53,9 +54,14 @@ class Book:
             if verdict.rater != rater:
                 self.others.setdefault(verdict.cell, []).append(verdict)
 
-    def take_marks(self, read: Mapping[Cell, Corrected]) -> None:
-        """Take over stored marks; what is not stored yet is newer."""
-        self.corrected |= {cell: found for cell, found in read.items() if not self.unstored[cell]}
+    def take_masks(self, read: Mapping[Cell, Mask]) -> list[Cell]:
+        """Take over stored marks; returns the cells that have to be measured with them.
+
+        What is not stored yet is newer.
+        """
+        taken = [cell for cell in read if not self.unstored[cell]]
+        self.corrected |= {cell: Corrected(read[cell], None) for cell in taken}
+        return taken
 
     def put_verdict(self, cell: Cell, verdict: Verdict | None) -> None:
         """Take over a verdict of the rater."""

@@ -63,7 +63,7 @@ class Loaded:
 
     rater: str
     verdicts: tuple[Verdict, ...]
-    corrected: Mapping[Cell, Corrected]
+    masks: Mapping[Cell, Mask]
     module_data: ModuleData
     state: ReviewState | None
 
@@ -76,13 +76,10 @@ class Stepped:
     corrected: Corrected | None
 
 
-def load(store: ReviewStore, subject: Subject | None, rater: str) -> Loaded:
+def load(store: ReviewStore, rater: str) -> Loaded:
     """Read all that a store holds."""
-    masks = store.masks(rater)
-    measured = {cell: Corrected.of(subject, cell, mask) for cell, mask in masks.items()}
-    corrected = {cell: found for cell, found in measured.items() if found is not None}
-    data, state = store.module_data(), store.remembered(rater)
-    return Loaded(rater, store.current(), corrected, data, state)
+    masks, data, state = store.masks(rater), store.module_data(), store.remembered(rater)
+    return Loaded(rater, store.current(), masks, data, state)
 
 
 def step(store: ReviewStore, way: str, subject: Subject | None, rater: str) -> Stepped | None:

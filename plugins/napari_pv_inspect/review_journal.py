@@ -70,6 +70,7 @@ class Journal:
         self._retry_s, self._poll_s = retry_s, poll_s
         self._changed = Condition()
         self._line: deque[_Entry] = deque()
+        self._idle: deque[_Entry] = deque()
         self._finished: deque[Callable[[], None]] = deque()
         self._failing = self._closing = self._giving_up = self._hurry = False
         self._thread: Thread | None = None
@@ -88,6 +89,12 @@ class Journal:
         """Put something at the end of the line; ``done`` gets what it returned."""
         with self._changed:
             self._line.append(_Entry(job, done))
+            self._changed.notify_all()
+
+    def later(self, job: Job, done: Done) -> None:
+        """Have something done when there is nothing to store; at the end it is dropped."""
+        with self._changed:
+            self._idle.append(_Entry(job, done))
             self._changed.notify_all()
 
     def attach(self, folder: Path, first: Job, done: Done) -> None:
@@ -137,10 +144,15 @@ class Journal:
                 self._changed.wait_for(lambda: self._hurry, self._retry_s)
                 self._hurry = False
             else:
-                self._changed.wait_for(lambda: self._line or self._closing, self._poll_s)
+                self._changed.wait_for(self._has_work, self._poll_s)
             if self._closing and (not self._line or (self._failing and self._giving_up)):
                 return None
-            return self._line[0] if self._line else self._watch
+            if self._line:
+                return self._line[0]
+            return self._idle.popleft() if self._idle else self._watch
+
+    def _has_work(self) -> bool:
+        return bool(self._line or self._idle or self._closing)
 
     def _try(self, store: ReviewStore, entry: _Entry) -> None:
         try:
@@ -158,7 +170,7 @@ class Journal:
             self._finished.append(lambda: entry.done(value))
         with self._changed:
             self._failing = False
-            if entry is not self._watch:
+            if self._line and entry is self._line[0]:
                 self._line.popleft()
             self._changed.notify_all()
 

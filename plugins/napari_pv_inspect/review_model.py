@@ -373,6 +373,7 @@ class ReviewModel:
             if found is not None:
                 self._put_verdict(found.change.cell, found.change.verdict)
                 if found.change.mask_changed:
+                    self._book.strokes[found.change.cell] += 1
                     self._put_marks(found.change.cell, found.corrected)
 
         self._submit(cell, lambda store: jobs.step(store, way, subject, rater), took)
@@ -404,12 +405,13 @@ class ReviewModel:
         self._journal.submit(self._load, self._on_loaded)
 
     def _load(self, store: ReviewStore) -> Loaded:
-        return jobs.load(store, self.subject, self.rater)
+        return jobs.load(store, self.rater)
 
     def _on_loaded(self, found: Loaded) -> None:
         if found.rater != self.rater:
             return
-        self._book.take_marks(found.corrected)
+        for cell in self._book.take_masks(found.masks):
+            self._measure(cell, found.masks[cell])
         self._on_verdicts(found.verdicts)
         self.marks_changed.emit(None)
         if self.module_data == ModuleData():
@@ -417,6 +419,16 @@ class ReviewModel:
             self.module_data_changed.emit(found.module_data)
         if found.state is not None:
             self.remembered.emit((found.state.row, found.state.col))
+
+    def _measure(self, cell: Cell, mask: Mask) -> None:
+        """Measure stored marks when there is time; verdicts are shown without it."""
+        book, subject, stroke = self._book, self.subject, self._book.strokes[cell]
+
+        def measured(found: Corrected | None) -> None:
+            if book is self._book and stroke == book.strokes[cell] and not book.unstored[cell]:
+                self._put_marks(cell, found)
+
+        self._journal.later(lambda _: Corrected.of(subject, cell, mask), measured)
 
     def _look(self, store: ReviewStore) -> tuple[Verdict, ...] | None:
         """Verdicts, if another process has stored something; runs in the journal's thread."""

@@ -394,3 +394,23 @@ def test_outlines_enclose_their_pixels() -> None:
     x, y = line.T
     assert (x.min(), x.max()) == pytest.approx((2, 9), abs=0.15)
     assert (y.min(), y.max()) == pytest.approx((4, 5), abs=0.15)
+
+
+def test_opening_the_result_again_goes_on_with_its_frames(
+    saved: Any, qtbot: QtBot, tmp_path: Path
+) -> None:
+    viewer, dock, cells = saved
+    model, state = dock.bench.model, dock.bench.review.state
+    before = model.inspection
+    model.select_cell((1, 1))
+    state.give((1, 1), VerdictKind.CRACK_B)
+    stored(dock, qtbot)
+    dock.bench.open(tmp_path / "out")
+    qtbot.waitUntil(lambda: model.inspection not in (None, before), timeout=20_000)
+    qtbot.waitUntil(lambda: state.verdict((1, 1)) is not None, timeout=10_000)
+    assert state.folder == (tmp_path / "out").resolve()
+    model.select_cell((1, 1))
+    cells.open_cell()
+    view = viewer.window.dock_widgets["Cell"]
+    qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
+    stored(dock, qtbot)

@@ -241,11 +241,10 @@ def test_opening_again_brings_verdicts_marks_module_data_and_the_cell(
     places: list[Any] = []
     second.remembered.connect(places.append)
     second.attach(tmp_path)
-    settle(second)
+    length = first.features((2, 0)).crack_length_cells
+    settle(second, lambda: second.features((2, 0)).crack_length_cells == pytest.approx(length))
     assert second.verdict((2, 0)).kind is C
     assert second.correction((2, 0)) is not None
-    length = first.features((2, 0)).crack_length_cells
-    assert second.features((2, 0)).crack_length_cells == pytest.approx(length)
     assert second.module_data == ModuleData("S1", 8.5)
     assert places == [(2, 1)]
     assert ReviewStore(tmp_path).remembered("Ada") == ReviewState("Ada", 2, 1)
@@ -277,6 +276,21 @@ def test_leaving_a_module_stores_what_is_pending(
     assert review.verdict((0, 0)) is None
     settle(review)
     assert len(ReviewStore(tmp_path).current()) == 4
+
+
+def test_what_has_time_waits_for_what_has_to_be_stored(tmp_path: Path) -> None:
+    seen: list[str] = []
+    journal = Journal(lambda _: None, lambda _: None, lambda _: None, poll_s=0.01)
+    journal.later(lambda _: seen.append("later"), lambda _: None)
+    journal.submit(lambda _: seen.append("stored"), lambda _: None)
+    assert journal.pending == 1
+    journal.attach(tmp_path, lambda _: None, lambda _: None)
+    assert journal.wait(5)
+    end = monotonic() + 5
+    while len(seen) < 2 and monotonic() < end:
+        sleep(0.01)
+    assert seen == ["stored", "later"]
+    journal.close(give_up=True)
 
 
 def test_jobs_keep_their_order(tmp_path: Path) -> None:
