@@ -54,7 +54,7 @@ class Expert:
 
     def leave(self) -> None:
         """Close the window."""
-        self.window.close()
+        self.viewer.close()
         self.wait(0.5)
 
     # Patience
