@@ -362,8 +362,13 @@ class Monkey:
     def _do_save(self) -> None:
         inspection = self.bench.model.inspection
         if inspection is not None and inspection.complete:
+            before = self.bench.review.state.folder
             self.dock.result.save.click()
             self.until(lambda: not self.bench.saver.busy, "the saved result")
+            # What was judged goes to another folder as well.
+            after = self.bench.review.state.folder
+            if before != after and before in self.given:
+                self.given.setdefault(after, {}).update(self.given[before])
 
     def _do_reopen(self) -> None:
         self.stored()
