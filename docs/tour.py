@@ -137,7 +137,9 @@ def leave_a_frame_out(expert: Expert) -> None:
     row = frames.table.rows[3]
     index = frames.sorted.mapFromSource(frames.table.index(3, 0))
     expert.click_row(frames.view, index, from_left=9)
-    assert expert.model.settings.skip_frames == ticked(expert.model.settings, row, False).skip_frames
+    assert (
+        expert.model.settings.skip_frames == ticked(expert.model.settings, row, False).skip_frames
+    )
     assert not frames.table.rows[3].wanted
     expert.photograph("2d-frame-left-out")
     expert.click_row(frames.view, index, from_left=9)
@@ -294,7 +296,9 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--sequence", type=Path, help="folder of frames; the sample if not given")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(arguments)
-    walk(lambda: napari.Viewer(title="pv-inspect"), options.sequence or sample_folder(), options.out)
+    walk(
+        lambda: napari.Viewer(title="pv-inspect"), options.sequence or sample_folder(), options.out
+    )
 
 
 if __name__ == "__main__":
