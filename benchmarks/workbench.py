@@ -3,7 +3,8 @@
     xvfb-run -a -s "-screen 0 1600x1000x24" env QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 \
         python benchmarks/workbench.py [geometry]
 
-Without a name all latencies are measured, each part in a process of its own. Median and 95th percentile in milliseconds; the machine should have nothing else to do.
+Without a name all latencies are measured, each part in a process of its own. Median and 95th
+percentile in milliseconds; the machine should have nothing else to do.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +122,7 @@ class Expert:
         QTest.mouseMove(widget, way[0])
         self.wait(0.1)
         QTest.mousePress(widget, LEFT, NONE, way[0])
-        for start, end in zip(way, way[1:], strict=False):
+        for start, end in pairwise(way):
             for share in np.linspace(0.2, 1.0, 5):
                 QTest.mouseMove(widget, start + (end - start) * float(share))
                 self.wait(0.03)

@@ -253,7 +253,7 @@ class Monkey:
         layer.selected_data = {row}
         start = layer.data[row].copy()
         layer._set_drag_start(layer.selected_data, start)
-        layer._move(layer.selected_data, start + [0.0, *self._rng.normal(0.0, 2.0, 2)])
+        layer._move(layer.selected_data, start + np.append(0.0, self._rng.normal(0.0, 2.0, 2)))
         layer._drag_start = None
 
     def _do_points_tool(self) -> None:

@@ -1,6 +1,6 @@
 """Anything in any order: nothing breaks, nothing hangs, no verdict is lost.
 
-More of it: PV_INSPECT_SEEDS=0,1,2,3 PV_INSPECT_ACTIONS=200 pytest tests/plugin/test_random_actions.py
+More of it: PV_INSPECT_SEEDS=0,1,2,3 PV_INSPECT_ACTIONS=200 in the environment.
 """
 
 from __future__ import annotations
