@@ -7,7 +7,7 @@ PYTEST := $(PYTHON) -m pytest
 WITHOUT_GUI := -p no:pytest-qt -p no:napari -p no:npe2 -p no:napari-plugin-engine
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format test-core test-plugin test-window constraints clean
+.PHONY: help demo tour test lint format test-core test-plugin test-window constraints clean
 
 help: ## say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -15,6 +15,11 @@ help: ## say what can be made
 demo: $(INSTALLED) ## run the main job on sample_data/ and open the workbench where there is a display
 	@scripts/bootstrap.sh libraries $(if $(DISPLAY)$(WAYLAND_DISPLAY),window,offscreen) || true
 	@$(PYTHON) benchmarks/demo.py
+
+tour: $(INSTALLED) ## drive the workbench through a whole session, on a virtual screen; docs/tour/
+	@scripts/bootstrap.sh libraries xvfb
+	QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 \
+		xvfb-run -a -s "-screen 0 1600x1000x24" $(PYTHON) docs/tour.py
 
 # One after the other, whatever -j says: the tests use all cores by themselves.
 test: $(INSTALLED) ## everything that CI runs

@@ -12,6 +12,7 @@ import json
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import cv2
@@ -35,6 +36,7 @@ MODELS = ("default", "sharp", "weak")
 # The network halves the image four times. OpenCV cuts silently what does not fit.
 _STRIDE = 16
 _BATCH = 8
+_RUNNING = Lock()
 
 
 def normalised(image: Image) -> Image:
@@ -205,8 +207,10 @@ class NetworkDetector:
 
 
 def _run(net: Any, inputs: Image) -> Image:
-    net.setInput(np.ascontiguousarray(inputs[:, None]))
-    return np.asarray(net.forward(), np.float32)
+    # A network keeps its buffers between two calls; all detectors share it.
+    with _RUNNING:
+        net.setInput(np.ascontiguousarray(inputs[:, None]))
+        return np.array(net.forward(), np.float32)
 
 
 @lru_cache(maxsize=4)

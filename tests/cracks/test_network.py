@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import process_time
 
@@ -171,3 +172,12 @@ def test_labelled_cracks_are_found() -> None:
     score = pixel_score(pairs)
     assert score.ap > 0.93
     assert score.f1 > 0.89
+
+
+def test_two_threads_get_what_one_gets() -> None:
+    tiles = [cell(120 + 16 * k, 130) for k in range(4)]
+    alone = [NetworkDetector().probability(tile) for tile in tiles]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda tile: NetworkDetector().probability(tile), 3 * tiles))
+    for found, wanted in zip(together, 3 * alone, strict=True):
+        np.testing.assert_array_equal(found, wanted)

@@ -22,14 +22,14 @@ class CellBar(QWidget):
         self.contrast_slider = QRangeSlider(Qt.Orientation.Horizontal)
         self.contrast_slider.setRange(0, STEPS)
         self.contrast_slider.setValue((0, STEPS))
-        self.contrast_slider.setFixedWidth(160)
+        _may_shrink(self.contrast_slider, 60, 160)
         self.contrast_slider.setToolTip(
             "Black and white of module image, frame and bicubic, parts of the brightest pixel."
         )
         self.opacity_slider = QSlider(Qt.Orientation.Horizontal)
         self.opacity_slider.setRange(0, 100)
         self.opacity_slider.setValue(90)
-        self.opacity_slider.setFixedWidth(80)
+        _may_shrink(self.opacity_slider, 40, 80)
         self.opacity_slider.setToolTip("Opacity of the outlines of the marks, percent; 0: none.")
         self.drawing = QCheckBox("Correct marks")
         self.drawing.setToolTip(
@@ -58,6 +58,8 @@ class CellBar(QWidget):
             self.reset,
         ):
             layout.addWidget(widget)
+            if isinstance(widget, QLabel):
+                widget.setMinimumWidth(1)
         layout.addStretch(1)
         for signal in (
             self.contrast_slider.valueChanged,
@@ -114,3 +116,9 @@ class CellBar(QWidget):
 
     def _on_change(self, _: object = None) -> None:
         self.changed.emit()
+
+
+def _may_shrink(slider: QSlider | QRangeSlider, least: int, most: int) -> None:
+    # Beside the live cell there is little room.
+    slider.setMinimumWidth(least)
+    slider.setMaximumWidth(most)

@@ -208,6 +208,9 @@ def _view(cells: CellList, delegate: TileDelegate) -> QListView:
 def _combo(entries: dict[str, object], tip: str) -> QComboBox:
     combo = QComboBox()
     combo.addItems(list(entries))
+    # As narrow as it has to be beside the live cell.
+    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+    combo.setMinimumContentsLength(9)
     combo.setToolTip(tip)
     return combo
 
@@ -216,6 +219,7 @@ def _slider(percent: int, tip: str) -> QSlider:
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, 100)
     slider.setValue(percent)
-    slider.setFixedWidth(90)
+    slider.setMinimumWidth(45)
+    slider.setMaximumWidth(90)
     slider.setToolTip(tip)
     return slider

@@ -155,11 +155,12 @@ class FramesBox(QWidget):
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setStretchLastSection(True)
         header.setMinimumSectionSize(30)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         # A long status is cut off; its tooltip is not.
         self.view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.view.setStyleSheet(TICKS)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        for column, width in ((NAME, 112), (GRID, 40), (REST, 40), (BLUR, 40)):
+        for column, width in ((NAME, 104), (GRID, 38), (REST, 38), (BLUR, 38)):
             self.view.setColumnWidth(column, width)
         self.summary = QLabel()
         layout = QVBoxLayout(self)

@@ -109,7 +109,7 @@ class LiveDock(QWidget):
             self._limits = contrast_limits(picture.image)
         self.view.show_message("")
         row, col = picture.cell
-        self.caption.setText(f"Row {row + 1}, column {col + 1}: {picture.caption}{self._note()}")
+        self.caption.setText(f"Row {row + 1}, column {col + 1}: {picture.caption}.{self._note()}")
         self._on_change()
 
     def _on_change(self, _: object = None) -> None:

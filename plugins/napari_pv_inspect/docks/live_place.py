@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from weakref import ref
 
 from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
@@ -37,12 +38,21 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     beside = _dock_of(controls)
     if beside is not None and not beside.isFloating():
         window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+        place.visibilityChanged.connect(partial(_narrow, ref(beside), beside.width()))
         # Qt resizes docks only once they have been laid out; no dock, no call.
         QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
     # With two docks beside each other the full height is of more use than a wide gallery.
     window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
     bench.fit_view()
     return live
+
+
+def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:
+    """Give the room of a live cell that is closed to the canvas, not to the controls."""
+    beside = controls()
+    place = None if shown or beside is None else beside.parentWidget()
+    if isinstance(place, QMainWindow) and beside is not None and beside.isVisible():
+        QTimer.singleShot(0, beside, partial(_resize, place, [beside], [width]))
 
 
 def _dock_of(widget: QWidget) -> QDockWidget | None:
@@ -54,8 +64,12 @@ def _dock_of(widget: QWidget) -> QDockWidget | None:
 
 def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
     wanted = max(MIN_WIDTH, round(SHARE * window.width()))
+    _resize(window, [place, beside], [wanted, beside.width()])
+
+
+def _resize(window: QMainWindow, docks: list[QDockWidget], widths: list[int]) -> None:
     animated = window.isAnimated()
     # The view is fitted to the canvas right after: it has to have its size by then.
     window.setAnimated(False)
-    window.resizeDocks([place, beside], [wanted, beside.width()], Qt.Orientation.Horizontal)
+    window.resizeDocks(docks, widths, Qt.Orientation.Horizontal)
     window.setAnimated(animated)

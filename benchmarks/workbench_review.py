@@ -1,0 +1,96 @@
+"""From the key to the painted verdict, and from the key to the verdict on the disk.
+
+Cells of the sample are judged by keys in the gallery. *painted*: until the gallery is painted with
+the verdict and the next cell selected. *cell view*: until the large view shows the next cell after
+an arrow key. *stored*: until the verdict is in the database. *blocked*: the longest time in which
+the window could not answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtTest import QTest
+from qtpy.QtWidgets import QWidget
+from workbench_window import Heartbeat, Times, opened, settle
+
+from napari_pv_inspect.model import RunState
+from pv_inspect.review import VerdictKind
+
+
+class Paints(QObject):
+    """Notes when a widget was painted."""
+
+    def __init__(self, widget: QWidget) -> None:
+        super().__init__(widget)
+        self.count = 0
+        widget.installEventFilter(self)
+
+    def eventFilter(self, _: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+        """Count."""
+        self.count += event.type() == QEvent.Type.Paint
+        return False
+
+
+def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
+    """Judge cells by keys, then walk through them in the large view."""
+    viewer, dock = opened(options.sequence)
+    bench = dock.bench
+    bench.model.confirm_layout()
+    dock.run.run.click()
+    settle(300.0, lambda: bench.model.run_state is RunState.IDLE)
+    cells = viewer.window.dock_widgets["Cells"]
+    times = Times()
+    with tempfile.TemporaryDirectory() as place:
+        dock.save(Path(place) / "result")
+        settle(60.0, lambda: bench.review.state.folder is not None)
+        settle(2.0)
+        heart = Heartbeat()
+        bench.model.select_cell((0, 0))
+        settle(0.5)
+        _judge(bench, cells, heart, times, options.keys)
+        cells.open_cell()
+        settle(2.0)
+        view = viewer.window.dock_widgets["Cell"]
+        painted = Paints(view.cell_panel)
+        for _ in range(options.keys):
+            heart.restart()
+            painted.count, begun = 0, time.perf_counter()
+            QTest.keyClick(view, Qt.Key.Key_Right)
+            settle(2.0, lambda: painted.count > 0)
+            times.add("cell view", 1e3 * (time.perf_counter() - begun))
+            settle(0.4)
+            times.add("cell view blocked", heart.longest_ms)
+        settle(5.0, lambda: bench.review.state.pending == 0)
+        viewer.close()
+    return times.summary()
+
+
+def _judge(bench: object, cells: object, heart: Heartbeat, times: Times, keys: int) -> None:
+    state, kinds = bench.review.state, list(VerdictKind)
+    painted = Paints(cells.view.viewport())
+    for number in range(keys):
+        cell = bench.model.selected_cell
+        heart.restart()
+        painted.count, begun = 0, time.perf_counter()
+        cells.view.setFocus()
+        QTest.keyClick(cells.view, kinds[number % len(kinds)].key)
+        settle(2.0, lambda: painted.count > 0)
+        times.add("painted", 1e3 * (time.perf_counter() - begun))
+        settle(5.0, lambda at=cell: not state.is_pending(at))
+        times.add("stored", 1e3 * (time.perf_counter() - begun))
+        settle(0.2)
+        times.add("blocked", heart.longest_ms)
+
+
+def main(arguments: list[str]) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sequence", type=Path, help="folder of frames; the sample if not given")
+    parser.add_argument("--keys", type=int, default=30)
+    print(json.dumps(review(parser.parse_args(arguments)), indent=1))

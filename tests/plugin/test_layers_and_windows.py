@@ -1,0 +1,117 @@
+"""What people do to layers, docks and windows that are ours, while something is going on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import QSettings
+
+from napari_pv_inspect.application import build
+from napari_pv_inspect.model import RunState
+from pv_inspect.review import ReviewStore, VerdictKind
+
+LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support", "Cracks")
+
+
+@pytest.fixture(autouse=True)
+def settings_of_its_own(tmp_path: Path) -> None:
+    kind = QSettings.Format.IniFormat
+    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+
+
+def idle(dock: Any, qtbot: QtBot) -> None:
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=60_000)
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_any_layer_may_be_renamed_and_another_run_goes_into_it(
+    bench: Any, replayed: Any, qtbot: QtBot, name: str
+) -> None:
+    viewer, dock, _ = bench
+    dock.run.run.click()
+    idle(dock, qtbot)
+    layers = list(viewer.layers)
+    layer = viewer.layers[name]
+    layer.name = "mine"
+    dock.lens.kappa.slider.setValue(100)
+    dock.image.prior_weight.number.setValue(2.0)
+    dock.run.run.click()
+    idle(dock, qtbot)
+    assert layer.name == "mine"
+    assert list(viewer.layers) == layers
+
+
+def test_two_modules_in_two_windows_run_and_are_judged_at_once(
+    make_napari_viewer: Callable[..., Any], tiny_folder: Path, tmp_path: Path, qtbot: QtBot
+) -> None:
+    viewers = [make_napari_viewer(), make_napari_viewer()]
+    docks = [build(viewer)[0] for viewer in viewers]
+    for dock in docks:
+        dock.bench.open(tiny_folder)
+        qtbot.waitUntil(lambda d=dock: not d.bench.opener.busy, timeout=20_000)
+        dock.bench.model.change_settings(magnification=2.0, max_iterations=3)
+    for dock in docks:
+        dock.run.run.click()
+    assert all(dock.bench.model.run_state is RunState.RUNNING for dock in docks)
+    for dock in docks:
+        idle(dock, qtbot)
+        assert dock.bench.model.inspection.complete
+    for k, dock in enumerate(docks):
+        dock.save(tmp_path / f"out{k}")
+        state = dock.bench.review.state
+        qtbot.waitUntil(lambda s=state: s.folder is not None, timeout=20_000)
+        dock.bench.model.select_cell((k, 0))
+        dock.bench.review.judge(VerdictKind.OK)
+    viewers[0].close()
+    docks[1].bench.review.judge(VerdictKind.CRACK_A)
+    viewers[1].close()
+    found = [ReviewStore(tmp_path / f"out{k}").current() for k in range(2)]
+    assert [[v.cell for v in one] for one in found] == [[(0, 0)], [(1, 0), (1, 1)]]
+
+
+def test_two_windows_judge_the_same_result_at_once(
+    make_napari_viewer: Callable[..., Any], tiny_inspection: Any, tmp_path: Path, qtbot: QtBot
+) -> None:
+    from pv_inspect.results import write_result
+
+    write_result(tiny_inspection, tmp_path / "out")
+    viewers = [make_napari_viewer(), make_napari_viewer()]
+    docks = [build(viewer)[0] for viewer in viewers]
+    for name, dock in zip(("Ada", "Ben"), docks, strict=True):
+        dock.bench.review.state.set_rater(name)
+        dock.bench.open(tmp_path / "out")
+        state = dock.bench.review.state
+        qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending, timeout=20_000)
+    for kind in (VerdictKind.OK, VerdictKind.CRACK_B):
+        for dock in docks:
+            dock.bench.review.state.give((0, 0), kind)
+            dock.bench.review.state.give((1, 1), kind)
+    for viewer in viewers:
+        viewer.close()
+    found = ReviewStore(tmp_path / "out").current()
+    assert sorted((v.rater, v.cell) for v in found) == [
+        ("Ada", (0, 0)),
+        ("Ada", (1, 1)),
+        ("Ben", (0, 0)),
+        ("Ben", (1, 1)),
+    ]
+    assert {v.kind for v in found} == {VerdictKind.CRACK_B}
+
+
+@pytest.mark.parametrize("dock_name", ["Inspect module", "Cells"])
+def test_a_dock_may_be_closed_while_a_run_goes_on(
+    bench: Any, replayed: Any, qtbot: QtBot, dock_name: str
+) -> None:
+    viewer, dock, _ = bench
+    model = dock.bench.model
+    replayed.go_on = False
+    dock.run.run.click()
+    qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
+    viewer.window.dock_widgets[dock_name].parentWidget().close()
+    replayed.go_on = True
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    assert model.inspection.complete
