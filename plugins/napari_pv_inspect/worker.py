@@ -10,6 +10,7 @@ from typing import Any
 from napari.qt.threading import GeneratorWorker
 from qtpy.QtCore import QObject, QThreadPool
 
+from napari_pv_inspect.memory import release
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from pv_inspect import pipeline
 from pv_inspect.errors import InspectionError
@@ -196,6 +197,7 @@ class RunController(QObject):
         else:
             self.model.end_run(outcome.inspection, keep_draft=self._until is not None)
             self.model.notice(_summary(self.model.inspection))
+        release()
         if wish is not None:
             self.start(wish.until)
 
