@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -59,6 +60,7 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         view = viewer.window.dock_widgets["Cell"]
         painted = Paints(view.cell_panel)
         for _ in range(options.keys):
+            _focus(view)
             heart.restart()
             painted.count, begun = 0, time.perf_counter()
             QTest.keyClick(view, Qt.Key.Key_Right)
@@ -76,16 +78,25 @@ def _judge(bench: object, cells: object, heart: Heartbeat, times: Times, keys: i
     painted = Paints(cells.view.viewport())
     for number in range(keys):
         cell = bench.model.selected_cell
+        _focus(cells.view)
         heart.restart()
         painted.count, begun = 0, time.perf_counter()
-        cells.view.setFocus()
         QTest.keyClick(cells.view, kinds[number % len(kinds)].key)
+        if not state.is_pending(cell) and state.verdict(cell) is None:
+            sys.exit("The key gave no verdict.")
         settle(2.0, lambda: painted.count > 0)
         times.add("painted", 1e3 * (time.perf_counter() - begun))
         settle(5.0, lambda at=cell: not state.is_pending(at))
         times.add("stored", 1e3 * (time.perf_counter() - begun))
         settle(0.2)
         times.add("blocked", heart.longest_ms)
+
+
+def _focus(widget: QWidget) -> None:
+    # Without a window manager nothing makes the window the active one, which keys go to.
+    widget.window().activateWindow()
+    widget.setFocus()
+    settle(5.0, widget.hasFocus)
 
 
 def main(arguments: list[str]) -> None:
