@@ -442,3 +442,21 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
     assert state.verdict((0, 1)) is None
     sentence = "1 entries of the review are not stored, because the result was not saved yet."
     assert asked == [f"{sentence} Discard them?"] * 3
+
+
+def test_the_focus_alone_selects_no_other_cell(saved: Any, qtbot: QtBot) -> None:
+    """A verdict given after that would be about a cell that nobody chose."""
+    viewer, dock, cells = saved
+    state, model = dock.bench.review.state, dock.bench.model
+    model.select_cell((0, 3))
+    state.give((0, 3), VerdictKind.CRACK_A)
+    model.select_cell((1, 0))
+    state.set_filter((VerdictKind.CRACK_A,))
+    assert state.listed == ((0, 3),)
+    viewer.window._qt_window.activateWindow()
+    cells.view.setFocus()
+    qtbot.waitUntil(cells.view.hasFocus, timeout=5000)
+    assert model.selected_cell == (1, 0)
+    QTest.keyClick(cells.view, "c")
+    assert state.verdict((1, 0)).kind is VerdictKind.CRACK_C
+    assert state.verdict((0, 3)).kind is VerdictKind.CRACK_A
