@@ -430,6 +430,7 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
     monkeypatch.setattr(
         QMessageBox, "question", lambda *given: asked.append(given[2]) or answers.pop(0)
     )
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("", ""))
     before, state = dock.bench.model.sequence, dock.bench.review.state
     state.give((0, 1), VerdictKind.CRACK_A)
     dock.bench.open(tiny_folder)
