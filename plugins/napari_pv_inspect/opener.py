@@ -83,7 +83,13 @@ def open_again(sequence: Sequence, settings: Settings) -> Opened:
 
 
 class Opener(QObject):
-    """Opens one thing at a time; the newest wish wins, and what comes too late is dropped."""
+    """Opens one thing at a time; the newest wish wins, and what comes too late is dropped.
+
+    Attributes
+    ----------
+    may_leave : callable
+        Asked before anything that would clear the bench; False: all stays as it is.
+    """
 
     result_opened = Signal(object)
 
@@ -95,6 +101,8 @@ class Opener(QObject):
         self._read_with: References = (None, None)
         self._putting: References | None = None
         self._again = False
+        self._name = ""
+        self.may_leave: Callable[[], bool] = _always
         model.settings_changed.connect(self._on_settings)
         model.sequence_changed.connect(self._on_sequence)
 
@@ -105,18 +113,24 @@ class Opener(QObject):
 
     def open(self, path: Any) -> None:
         """Put the frames or the result at a path, or a list of frames, on the bench."""
+        if not self.may_leave():
+            return
         name = Path(path).name if isinstance(path, (str, Path)) else f"{len(path)} frames"
         self._model.notice(f"Opening {name} ...")
+        self._name = name
         self._start(open_any, path, self._model.settings)
 
     def restore(self, result: Result) -> None:
         """Put a result that was read already on the bench, with its frames if possible."""
-        self._start(open_result, result)
+        if self.may_leave():
+            self._name = result.folder.name
+            self._start(open_result, result)
 
     def close(self, wait_ms: int = 3000) -> None:
         """Open nothing more; wait briefly for the thread."""
         self._model.settings_changed.disconnect(self._on_settings)
         self._model.sequence_changed.disconnect(self._on_sequence)
+        self.may_leave = _always
         if self._worker is not None:
             self._drop()
             QThreadPool.globalInstance().waitForDone(wait_ms)
@@ -140,14 +154,15 @@ class Opener(QObject):
         if ticket != self._ticket or self._worker is None:
             return
         self._worker = None
+        name, self._name = self._name, ""
         model = self._model
         if opened.sequence is None and opened.result is None:
             if self._again:
-                # The controls say how the frames on the bench were read.
-                dark, flat = self._read_with
-                model.change_settings(dark_frame=dark, flat_frame=flat)
+                self._set_references_back()
             model.notice(opened.trouble, is_error=True)
             return
+        if name:
+            model.notice(f"Opened {name}.")
         self._putting = opened.references
         try:
             self._put(opened)
@@ -172,13 +187,28 @@ class Opener(QObject):
     def _on_sequence(self, _: Sequence | None) -> None:
         if self._putting is None:
             # Somebody else was faster.
+            if self._name:
+                self._model.notice("")
+                self._name = ""
             self._drop()
         self._read_with = self._putting or (None, None)
 
     def _on_settings(self, settings: Settings) -> None:
         wanted = (settings.dark_frame, settings.flat_frame)
         if self._model.sequence is not None and wanted != self._read_with and not self.busy:
-            self._start(open_again, self._model.sequence, settings)
+            if self.may_leave():
+                self._start(open_again, self._model.sequence, settings)
+            else:
+                self._set_references_back()
+
+    def _set_references_back(self) -> None:
+        # The controls say how the frames on the bench were read.
+        dark, flat = self._read_with
+        self._model.change_settings(dark_frame=dark, flat_frame=flat)
+
+
+def _always() -> bool:
+    return True
 
 
 def _guarded(ticket: int, work: Callable[..., Opened], *given: Any) -> tuple[int, Opened]:

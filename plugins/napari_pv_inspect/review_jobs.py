@@ -21,11 +21,14 @@ from pv_inspect.review import (
 
 __all__ = [
     "Corrected",
+    "Edit",
     "Loaded",
     "Stepped",
     "load",
     "step",
+    "step_back",
     "store_marks",
+    "store_verdict",
     "take_marks",
     "take_verdict",
 ]
@@ -48,13 +51,31 @@ class Corrected:
         except InspectionError:  # drawn on a result of another size, or the detector is missing
             return cls(mask, None)
 
-    def store(self, store: ReviewStore, cell: Cell, rater: str) -> None:
-        """Store marks and measures."""
+    def store(self, store: ReviewStore, cell: Cell, rater: str) -> int:
+        """Store marks and measures; returns the number of the edit."""
         length = isolated = None
         if self.features is not None:
             length, isolated = self.features.crack_length_cells, self.features.isolated_area_share
             isolated = None if math.isnan(isolated) else isolated
-        store.correct(cell, rater, self.mask, length, isolated)
+        return store.correct(cell, rater, self.mask, length, isolated)
+
+
+@dataclass(eq=False)
+class Edit:
+    """An edit by its name, also while it waits to be stored.
+
+    Attributes
+    ----------
+    rater : str
+    cell : (int, int)
+        (row, column) from 0.
+    number : int or None
+        In the store; only its thread reads and sets it.
+    """
+
+    rater: str
+    cell: Cell
+    number: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,24 +103,49 @@ def load(store: ReviewStore, rater: str) -> Loaded:
     return Loaded(rater, store.current(), masks, data, state)
 
 
-def step(store: ReviewStore, way: str, subject: Subject | None, rater: str) -> Stepped | None:
-    """Undo or redo the rater's last edit; None if there is none."""
-    change = store.undo(rater) if way == "undo" else store.redo(rater)
+def step(store: ReviewStore, way: str, subject: Subject | None, edit: Edit) -> Stepped | None:
+    """Undo or redo an edit; None if the store does not know it."""
+    take = store.undo if way == "undo" else store.redo
+    return (
+        None
+        if edit.number is None
+        else _stepped(store, subject, edit.rater, take(edit.rater, edit.number))
+    )
+
+
+def step_back(store: ReviewStore, subject: Subject | None, rater: str) -> Stepped | None:
+    """Undo the rater's last edit, whoever made it; None if there is none."""
+    return _stepped(store, subject, rater, store.undo(rater))
+
+
+def _stepped(
+    store: ReviewStore, subject: Subject | None, rater: str, change: Change | None
+) -> Stepped | None:
     if change is None:
         return None
-    mask = store.mask(change.cell, rater)
+    mask = None
+    if change.mask_changed or change.superseded:
+        mask = store.mask(change.cell, rater)
     return Stepped(change, Corrected.of(subject, change.cell, mask))
 
 
+def store_verdict(store: ReviewStore, edit: Edit, verdict: Verdict | None) -> None:
+    """Store a verdict; None withdraws it."""
+    if verdict is None:
+        edit.number = store.withdraw(edit.cell, edit.rater)
+    else:
+        edit.number = store.give(verdict)
+
+
 def store_marks(
-    store: ReviewStore, subject: Subject, cell: Cell, rater: str, mask: Mask | None
+    store: ReviewStore, subject: Subject, edit: Edit, mask: Mask | None
 ) -> Corrected | None:
     """Measure and store corrected marks; None goes back to those of the detector."""
-    corrected = Corrected.of(subject, cell, mask)
+    corrected = Corrected.of(subject, edit.cell, mask)
     if corrected is None:
-        store.correct(cell, rater, None)
+        edit.number = store.correct(edit.cell, edit.rater, None)
     else:
-        corrected.store(store, cell, rater)
+        edit.number = corrected.store(store, edit.cell, edit.rater)
     return corrected
 
 

@@ -14,7 +14,7 @@ from psygnal import Signal
 from napari_pv_inspect import review_jobs as jobs
 from napari_pv_inspect.history import Action, History
 from napari_pv_inspect.review_book import Book
-from napari_pv_inspect.review_jobs import Corrected, Loaded, Stepped
+from napari_pv_inspect.review_jobs import Corrected, Edit, Loaded, Stepped
 from napari_pv_inspect.review_journal import Done, Job, Journal, wait_for_all
 from napari_pv_inspect.review_subject import Mask, Subject
 from pv_inspect.cracks import CellFeatures
@@ -262,38 +262,34 @@ class ReviewModel:
 
     def withdraw(self, cell: Cell) -> None:
         """Take a verdict back: the cell is not judged any more."""
-        rater = self.rater
-
-        def first() -> None:
-            self._submit(cell, lambda store: store.withdraw(cell, rater))
-            self._put_verdict(cell, None)
-
         if self.verdict(cell) is not None:
-            self._perform(cell, "Withdraw a verdict", first)
+            self._say(cell, None, "Withdraw a verdict")
 
     def correct(self, cell: Cell, mask: Mask | None) -> None:
         """Correct the marks of a cell; None goes back to what the detector found."""
-        subject, rater, book = self.subject, self.rater, self._book
+        subject = self.subject
         if subject is None or subject.cracks is None:
             self.failed.emit("The cracks are still looked for: correct their marks afterwards.")
             return
         drawn = None if mask is None else Corrected(mask.copy(), self.features(cell))
         mask = None if drawn is None else drawn.mask
+        before = self._book.corrected.get(cell)
 
-        def first() -> None:
-            book.strokes[cell] += 1
-            stroke = book.strokes[cell]
+        def first(edit: Edit) -> None:
+            book, stroke = self._book, self._book.strokes[cell] + 1  # `show` follows
 
             def measured(found: Corrected | None) -> None:
                 if stroke == book.strokes[cell]:
                     self._put_marks(cell, found)
 
-            self._put_marks(cell, drawn)
-            self._submit(
-                cell, lambda store: jobs.store_marks(store, subject, cell, rater, mask), measured
-            )
+            self._submit(cell, lambda store: jobs.store_marks(store, subject, edit, mask), measured)
 
-        self._perform(cell, "Reset marks" if mask is None else "Correct crack marks", first)
+        def show(done: bool) -> None:
+            self._book.strokes[cell] += 1
+            self._put_marks(cell, drawn if done else before)
+
+        text = "Reset marks" if mask is None else "Correct crack marks"
+        self._perform(cell, text, first, show)
 
     def describe(self, data: ModuleData) -> None:
         """Store what is known about the module."""
@@ -315,8 +311,9 @@ class ReviewModel:
 
     def undo_stored(self) -> None:
         """Take back the rater's last edit of an earlier session."""
+        subject, rater = self.subject, self.rater
         if self.folder is not None:
-            self._step("undo", None)
+            self._submit(None, lambda store: jobs.step_back(store, subject, rater), self._on_step)
 
     # What comes back
 
@@ -341,42 +338,72 @@ class ReviewModel:
         if self.subject is None:
             return
         made_with = fingerprint(self.subject.settings)
-        verdict = Verdict(*cell, kind, self.rater, note, made_with)
+        self._say(cell, Verdict(*cell, kind, self.rater, note, made_with), text)
 
-        def first() -> None:
-            self._submit(cell, lambda store: store.give(verdict))
+    def _say(self, cell: Cell, verdict: Verdict | None, text: str) -> None:
+        before = self.verdict(cell)
+
+        def first(edit: Edit) -> None:
             self._book.notes.pop(cell, None)
-            self._put_verdict(cell, verdict)
+            self._submit(cell, lambda store: jobs.store_verdict(store, edit, verdict))
 
-        self._perform(cell, text, first)
+        self._perform(
+            cell, text, first, lambda done: self._put_verdict(cell, verdict if done else before)
+        )
 
-    def _perform(self, cell: Cell, text: str, first: Callable[[], None]) -> None:
-        """Do something that the store can take back: the first time, then as its redo."""
+    def _perform(
+        self, cell: Cell, text: str, first: Callable[[Edit], None], show: Callable[[bool], None]
+    ) -> None:
+        """Make an edit that can be taken back; what is shown never waits for the store."""
+        edit = Edit(self.rater, cell)
         is_new = True
 
         def do() -> None:
             nonlocal is_new
             if is_new:
                 is_new = False
-                first()
+                first(edit)
+                show(True)
             else:
-                self._step("redo", cell)
+                step("redo")
 
-        place = f"row {cell[0] + 1}, column {cell[1] + 1}"
-        self._history.perform(Action(f"{text}, {place}", do, lambda: self._step("undo", cell)))
+        def step(way: str) -> None:
+            self._step(way, edit)
+            if edit.rater == self.rater:
+                show(way == "redo")
+
+        self._history.perform(Action(f"{text}, {_place(cell)}", do, lambda: step("undo")))
         self._need_folder()
 
-    def _step(self, way: str, cell: Cell | None) -> None:
-        subject, rater = self.subject, self.rater
+    def _step(self, way: str, edit: Edit) -> None:
+        subject = self.subject
 
         def took(found: Stepped | None) -> None:
-            if found is not None:
-                self._put_verdict(found.change.cell, found.change.verdict)
-                if found.change.mask_changed:
-                    self._book.strokes[found.change.cell] += 1
-                    self._put_marks(found.change.cell, found.corrected)
+            if found is None or edit.rater != self.rater:
+                self._reload()
+            else:
+                self._on_step(found)
 
-        self._submit(cell, lambda store: jobs.step(store, way, subject, rater), took)
+        self._submit(edit.cell, lambda store: jobs.step(store, way, subject, edit), took)
+
+    def _on_step(self, found: Stepped | None) -> None:
+        """Take over what the store made of an undo, unless more was said about the cell since."""
+        if found is None:
+            return
+        change = found.change
+        if change.superseded:
+            self.failed.emit(
+                f"{_place(change.cell).capitalize()} was changed in another window meanwhile: "
+                "what was said there stays."
+            )
+        if self._book.unstored[change.cell]:
+            if change.superseded:
+                self._reload()
+            return
+        self._put_verdict(change.cell, change.verdict)
+        if change.mask_changed or change.superseded:
+            self._book.strokes[change.cell] += 1
+            self._put_marks(change.cell, found.corrected)
 
     def _submit(self, cell: Cell | None, job: Job, done: Done | None = None) -> None:
         """Have something stored; ``done`` is not called if another book is open by then."""
@@ -474,6 +501,10 @@ class ReviewModel:
 
     def _new_journal(self) -> Journal:
         return self._make_journal(self.failed.emit, self._look, self._on_verdicts)
+
+
+def _place(cell: Cell) -> str:
+    return f"row {cell[0] + 1}, column {cell[1] + 1}"
 
 
 def _same_module(a: Subject | None, b: Subject | None) -> bool:

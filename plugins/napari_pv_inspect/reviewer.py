@@ -109,6 +109,13 @@ class Reviewer(QObject):
         """Store verdicts in the folder that the inspection was saved to."""
         self.state.attach(Path(folder).resolve())
 
+    def may_leave(self, window: QWidget | None) -> bool:
+        """Whether another module may come; the user decides if something can't be stored yet."""
+        if self.state.folder is not None or not self.state.pending:
+            return True
+        self._try_again(window)
+        return self._close_anyway
+
     def may_close(self, window: QWidget | None) -> bool:
         """Wait until everything is stored; if that can't be, the user decides."""
         self._remembering.stop()

@@ -80,6 +80,7 @@ class Workbench(QObject):
         self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
         self.review = Reviewer(self.model, self.history)
+        self.opener.may_leave = self._may_leave
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
         self.model.preview_changed.connect(self._on_preview)
@@ -158,6 +159,9 @@ class Workbench(QObject):
         if not self.session.aim():
             self.navigator.to_all()
 
+    def _may_leave(self) -> bool:
+        return self.review.may_leave(self._main_window)
+
     def _on_result(self, result: Result) -> None:
         self.session.resume(result)
         self.fit_view()
@@ -194,7 +198,6 @@ class Workbench(QObject):
 
     def _on_notice(self, text: str, is_error: bool) -> None:
         # Good news stands in the dock and in the status bar: it needs no pop-up over the image.
+        self.viewer.status = text
         if is_error:
             show_error(text)
-        else:
-            self.viewer.status = text

@@ -188,7 +188,10 @@ class RunController(QObject):
         wish, self._waiting = self._waiting, None
         if outcome is None:
             self.model.end_run(None, keep_draft=False)
-            self.model.notice("Cancelled; the last whole result is kept.")
+            shown = self.model.inspection
+            whole = shown is not None and shown.complete
+            kept = "the last whole result" if whole else "what was found so far"
+            self.model.notice(f"Cancelled; {kept} is kept.")
         elif outcome.failure:
             self.model.end_run(None, keep_draft=False, why=outcome.failure)
             self.model.notice(outcome.failure, is_error=True)

@@ -12,7 +12,17 @@ from typing import Any
 
 from pv_inspect.review.verdicts import Cell, Verdict, VerdictKind, now
 
-__all__ = ["CONTENT", "LINE", "Change", "Entry", "append", "entry_from", "latest", "stacks"]
+__all__ = [
+    "CONTENT",
+    "LINE",
+    "Change",
+    "Entry",
+    "append",
+    "entry_from",
+    "latest",
+    "stacks",
+    "stepped",
+]
 
 CONTENT = (
     "kind",
@@ -70,11 +80,14 @@ class Change:
         The verdict that holds now.
     mask_changed : bool
         Whether the corrected crack mask is another one now.
+    superseded : bool
+        Nothing was changed: what the edit said had been replaced by something newer.
     """
 
     cell: Cell
     verdict: Verdict | None
     mask_changed: bool
+    superseded: bool = False
 
 
 def entry_from(line: tuple[Any, ...]) -> Entry:
@@ -112,25 +125,48 @@ def append(
     rater: str,
     cell: Cell,
     content: dict[str, object],
-) -> None:
-    """Add a line; ``edit`` is the line that an undo or redo is about."""
+) -> int:
+    """Add a line and return its number; ``edit`` is the line that an undo or redo is about."""
     names = ("action", "edit", "stored", "rater", '"row"', "col", *CONTENT)
     values = (action, edit, now(), rater, *cell, *(content[name] for name in CONTENT))
     marks = ", ".join("?" * len(names))
-    connection.execute(f"INSERT INTO history ({', '.join(names)}) VALUES ({marks})", values)
+    added = connection.execute(f"INSERT INTO history ({', '.join(names)}) VALUES ({marks})", values)
+    assert added.lastrowid is not None
+    return added.lastrowid
+
+
+def stepped(
+    connection: sqlite3.Connection, action: str, edit: int, rater: str, cell: Cell
+) -> dict[str, object] | None:
+    """State of a cell once an edit is taken back or brought back; None if it is superseded.
+
+    Only what the edit changed goes back, and only while nothing newer was said about it.
+    """
+    made, before = (latest(connection, rater, cell, last) for last in (edit, edit - 1))
+    old, new = (made, before) if action == "undo" else (before, made)
+    current = latest(connection, rater, cell)
+    changed = [name for name in CONTENT if made[name] != before[name]]
+    if any(current[name] != old[name] for name in changed):
+        return None
+    return current | {name: new[name] for name in changed}
 
 
 def stacks(connection: sqlite3.Connection, rater: str) -> tuple[list[int], list[int]]:
     """Numbers of the edits of a rater that can be undone, and of those that can be redone."""
     done: list[int] = []
     undone: list[int] = []
-    for number, action in connection.execute(
-        "SELECT id, action FROM history WHERE rater = ? ORDER BY id", (rater,)
+    for number, action, edit in connection.execute(
+        "SELECT id, action, edit FROM history WHERE rater = ? ORDER BY id", (rater,)
     ):
+        # Not always the last one: the same rater may work in two windows.
         if action == "undo":
-            undone.append(done.pop())
+            if edit in done:
+                done.remove(edit)
+            undone.append(edit)
         elif action == "redo":
-            done.append(undone.pop())
+            if edit in undone:
+                undone.remove(edit)
+            done.append(edit)
         else:
             done.append(number)
             undone.clear()

@@ -26,6 +26,7 @@ from pv_inspect.review.entries import (
     entry_from,
     latest,
     stacks,
+    stepped,
 )
 from pv_inspect.review.schema import damaged, failure, opened
 from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
@@ -96,8 +97,14 @@ class ReviewStore:
                 self._connection.close()
             self._connection = self._file = None
 
-    def give(self, verdict: Verdict) -> None:
-        """Store a verdict; a corrected mask of the cell stays, and its measures with it."""
+    def give(self, verdict: Verdict) -> int:
+        """Store a verdict; a corrected mask of the cell stays, and its measures with it.
+
+        Returns
+        -------
+        int
+            Number of the edit, for `undo` and `redo`.
+        """
         with self._writing() as connection:
             content = latest(connection, verdict.rater, verdict.cell)
             content |= {"kind": verdict.kind.value, "note": verdict.note, "time": verdict.time}
@@ -105,15 +112,21 @@ class ReviewStore:
             if verdict.crack_length_cells is not None:
                 content["crack_length_cells"] = verdict.crack_length_cells
                 content["isolated_area_share"] = verdict.isolated_area_share
-            append(connection, "edit", None, verdict.rater, verdict.cell, content)
+            return append(connection, "edit", None, verdict.rater, verdict.cell, content)
 
-    def withdraw(self, cell: Cell, rater: str) -> None:
-        """Take a verdict back: the cell is not judged any more. A corrected mask stays."""
+    def withdraw(self, cell: Cell, rater: str) -> int:
+        """Take a verdict back: the cell is not judged any more. A corrected mask stays.
+
+        Returns
+        -------
+        int
+            Number of the edit.
+        """
         check_entry(cell, rater)
         with self._writing() as connection:
             content = latest(connection, rater, cell)
             content |= dict.fromkeys(("kind", "note", "time", "settings", "software"))
-            append(connection, "edit", None, rater, cell, content)
+            return append(connection, "edit", None, rater, cell, content)
 
     def correct(
         self,
@@ -122,7 +135,7 @@ class ReviewStore:
         mask: Mask | None,
         crack_length_cells: float | None = None,
         isolated_area_share: float | None = None,
-    ) -> None:
+    ) -> int:
         """Store a corrected crack mask and what was measured on it; the verdict stays.
 
         Parameters
@@ -134,6 +147,11 @@ class ReviewStore:
             None goes back to what the detector has found.
         crack_length_cells, isolated_area_share : float or None
             See `Verdict`; `pv_inspect.review.measuring` measures them.
+
+        Returns
+        -------
+        int
+            Number of the edit.
         """
         check_entry(cell, rater)
         with self._writing() as connection:
@@ -146,15 +164,23 @@ class ReviewStore:
                     "crack_length_cells": crack_length_cells,
                     "isolated_area_share": isolated_area_share,
                 }
-            append(connection, "edit", None, rater, cell, content)
+            return append(connection, "edit", None, rater, cell, content)
 
-    def undo(self, rater: str) -> Change | None:
-        """Take back the rater's last edit that is not taken back; None if there is none."""
-        return self._step(rater, "undo")
+    def undo(self, rater: str, edit: int | None = None) -> Change | None:
+        """Take back an edit of the rater, or the last one that is not taken back.
 
-    def redo(self, rater: str) -> Change | None:
-        """Bring back the rater's last edit that was taken back; None if there is none."""
-        return self._step(rater, "redo")
+        Something newer about the same cell is left as it is.
+
+        Returns
+        -------
+        Change or None
+            None if there is no such edit.
+        """
+        return self._step(rater, "undo", edit)
+
+    def redo(self, rater: str, edit: int | None = None) -> Change | None:
+        """Bring back an edit of the rater, or the last one that was taken back; see `undo`."""
+        return self._step(rater, "redo", edit)
 
     def can_undo(self, rater: str) -> bool:
         """Whether `undo` would do something."""
@@ -276,27 +302,33 @@ class ReviewStore:
                 return 0
             return int(connection.execute("PRAGMA data_version").fetchone()[0])
 
-    def _step(self, rater: str, action: str) -> Change | None:
+    def _step(self, rater: str, action: str, edit: int | None) -> Change | None:
         if not self._exists():
             return None
         with self._writing() as connection:
-            done, undone = stacks(connection, rater)
-            stack = done if action == "undo" else undone
-            if not stack:
+            if edit is None:
+                done, undone = stacks(connection, rater)
+                stack = done if action == "undo" else undone
+                if not stack:
+                    return None
+                edit = stack[-1]
+            cell = connection.execute(
+                "SELECT \"row\", col FROM history WHERE id = ? AND rater = ? AND action = 'edit'",
+                (edit, rater),
+            ).fetchone()
+            if cell is None:
                 return None
-            edit = stack[-1]
-            row, col = connection.execute(
-                'SELECT "row", col FROM history WHERE id = ?', (edit,)
-            ).fetchone()
-            before = latest(connection, rater, (row, col))
-            # Edits are undone in the reverse order: what was there before this one is right.
-            last = edit - 1 if action == "undo" else edit
-            after = latest(connection, rater, (row, col), last)
-            append(connection, action, edit, rater, (row, col), after)
+            before = latest(connection, rater, cell)
+            after = stepped(connection, action, edit, rater, cell)
+            if after is not None:
+                append(connection, action, edit, rater, cell, after)
             found = connection.execute(
-                f"SELECT {LINE} FROM history ORDER BY id DESC LIMIT 1"
+                f'SELECT {LINE} FROM history WHERE rater = ? AND "row" = ? AND col = ? '
+                "ORDER BY id DESC LIMIT 1",
+                (rater, *cell),
             ).fetchone()
-        return Change((row, col), self._entry(found).verdict, before["mask"] != after["mask"])
+        mask_changed = after is not None and before["mask"] != after["mask"]
+        return Change(cell, self._entry(found).verdict, mask_changed, after is None)
 
     def _exists(self) -> bool:
         try:

@@ -283,3 +283,16 @@ def test_two_viewers_hold_two_modules(
     first.close()
     docks[1].bench.model.select_cell((1, 1))
     assert "Module image" in second.layers
+
+
+def test_the_status_bar_says_when_something_is_open(
+    app: Any, result_folder: Path, tmp_path: Path, qtbot: QtBot
+) -> None:
+    viewer, dock, _ = app
+    said: list[str] = []
+    dock.bench.model.noticed.connect(lambda text, _: said.append(text))
+    dock.bench.open(result_folder)
+    opened(dock, qtbot)
+    name = result_folder.name
+    assert said[:2] == [f"Opening {name} ...", f"Opened {name}."]
+    assert "Opening" not in viewer.status

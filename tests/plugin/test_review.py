@@ -414,3 +414,50 @@ def test_opening_the_result_again_goes_on_with_its_frames(
     view = viewer.window.dock_widgets["Cell"]
     qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
     stored(dock, qtbot)
+
+
+def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_told_to(
+    bench: Any,
+    tiny_folder: Path,
+    tiny_inspection: Inspection,
+    monkeypatch: pytest.MonkeyPatch,
+    qtbot: QtBot,
+) -> None:
+    _, dock, _ = bench
+    show(dock, tiny_inspection)
+    asked: list[str] = []
+    answers = [QMessageBox.StandardButton.Cancel] * 2 + [QMessageBox.StandardButton.Discard]
+    monkeypatch.setattr(
+        QMessageBox, "question", lambda *given: asked.append(given[2]) or answers.pop(0)
+    )
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("", ""))
+    before, state = dock.bench.model.sequence, dock.bench.review.state
+    state.give((0, 1), VerdictKind.CRACK_A)
+    dock.bench.open(tiny_folder)
+    assert not dock.bench.opener.busy
+    dock.bench.model.change_settings(dark_frame=tiny_folder / "dark.tif")
+    assert dock.bench.model.settings.dark_frame is None
+    assert state.verdict((0, 1)).kind is VerdictKind.CRACK_A
+    dock.bench.open(tiny_folder)
+    qtbot.waitUntil(lambda: dock.bench.model.sequence is not before, timeout=10_000)
+    assert state.verdict((0, 1)) is None
+    sentence = "1 entries of the review are not stored, because the result was not saved yet."
+    assert asked == [f"{sentence} Discard them?"] * 3
+
+
+def test_the_focus_alone_selects_no_other_cell(saved: Any, qtbot: QtBot) -> None:
+    """A verdict given after that would be about a cell that nobody chose."""
+    viewer, dock, cells = saved
+    state, model = dock.bench.review.state, dock.bench.model
+    model.select_cell((0, 3))
+    state.give((0, 3), VerdictKind.CRACK_A)
+    model.select_cell((1, 0))
+    state.set_filter((VerdictKind.CRACK_A,))
+    assert state.listed == ((0, 3),)
+    viewer.window._qt_window.activateWindow()
+    cells.view.setFocus()
+    qtbot.waitUntil(cells.view.hasFocus, timeout=5000)
+    assert model.selected_cell == (1, 0)
+    QTest.keyClick(cells.view, "c")
+    assert state.verdict((1, 0)).kind is VerdictKind.CRACK_C
+    assert state.verdict((0, 3)).kind is VerdictKind.CRACK_A

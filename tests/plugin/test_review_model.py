@@ -38,11 +38,11 @@ class _Store(ReviewStore):
         super().__init__(folder)
         self._disk = disk
 
-    def give(self, verdict: Verdict) -> None:
+    def give(self, verdict: Verdict) -> int:
         sleep(self._disk.slow_s)
         if self._disk.full:
             raise InspectionError("Nothing more can be stored: the disk is full.")
-        super().give(verdict)
+        return super().give(verdict)
 
 
 @pytest.fixture
@@ -304,3 +304,88 @@ def test_jobs_keep_their_order(tmp_path: Path) -> None:
     assert journal.wait(5)
     assert seen == list(range(-1, 20))
     journal.close(give_up=True)
+
+
+def test_a_verdict_given_right_after_an_undo_stays_in_sight_and_goes_along(
+    make: Any, tmp_path: Path
+) -> None:
+    """The answer of the store to the undo comes when the next verdict is given already."""
+    review = make()
+    first, second = tmp_path / "first", tmp_path / "second"
+    first.mkdir()
+    second.mkdir()
+    review.attach(first)
+    review.give((0, 0), A)
+    review._history.undo()
+    assert review.verdict((0, 0)) is None
+    review.give((0, 0), A)
+    review.give((0, 1), A)
+    review._history.undo()
+    review.give((0, 1), C)
+    settle(review)
+    assert [review.verdict((0, col)).kind for col in range(2)] == [A, C]
+    review.give((0, 2), OK)
+    review._history.undo()
+    review.attach(second)
+    settle(review)
+    for folder in (first, second):
+        assert [v.kind for v in ReviewStore(folder).current()] == [A, C]
+
+
+def test_undo_while_nothing_is_stored_yet_is_stored_in_order(make: Any, tmp_path: Path) -> None:
+    review = make()
+    for kind in (OK, A, C):
+        review.give((1, 1), kind)
+    review._history.undo()
+    review._history.undo()
+    review._history.redo()
+    assert review.verdict((1, 1)).kind is A
+    review.attach(tmp_path)
+    settle(review)
+    assert [v.kind for v in ReviewStore(tmp_path).current()] == [A]
+    assert review.verdict((1, 1)).kind is A
+
+
+def test_undo_in_one_window_leaves_the_edits_of_the_other(make: Any, tmp_path: Path) -> None:
+    one, other = make("Ada"), make("Ada")
+    said: list[str] = []
+    one.failed.connect(said.append)
+    for review in (one, other):
+        review.attach(tmp_path)
+    one.give((0, 0), A)
+    one.give((2, 2), OK)
+    settle(one)
+    other.give((1, 1), C)
+    settle(other)
+    one._history.undo()
+    settle(one)
+    stored = {v.cell: v.kind for v in ReviewStore(tmp_path).current()}
+    assert stored == {(0, 0): A, (1, 1): C}
+    settle(other, lambda: other.verdict((0, 0)) is not None)
+    other.give((0, 0), OK)
+    settle(other)
+    one._history.undo()
+    settle(one, lambda: one.verdict((0, 0)) is not None)
+    assert one.verdict((0, 0)).kind is OK
+    assert ReviewStore(tmp_path).current()[0].kind is OK
+    assert said == [
+        "Row 1, column 1 was changed in another window meanwhile: what was said there stays."
+    ]
+
+
+def test_undo_takes_back_what_another_rater_did_before_and_not_mine(
+    make: Any, tmp_path: Path
+) -> None:
+    review = make("Ada")
+    review.attach(tmp_path)
+    review.give((0, 0), A)
+    review.set_rater("Ben")
+    review.give((0, 0), OK)
+    review._history.undo()
+    review._history.undo()
+    settle(review)
+    assert ReviewStore(tmp_path).current() == ()
+    review._history.redo()
+    settle(review, lambda: bool(review.others((0, 0))))
+    assert review.verdict((0, 0)) is None
+    assert [(v.rater, v.kind) for v in review.others((0, 0))] == [("Ada", A)]

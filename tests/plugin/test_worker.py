@@ -106,6 +106,24 @@ def test_shutdown_mid_run_closes_the_pipeline_and_reaches_the_model_no_more(
     assert changes == []
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_cancelling_says_what_is_kept(
+    runs: RunController, replayed: Any, qtbot: QtBot, whole: bool
+) -> None:
+    if whole:
+        runs.model.inspection = replayed.inspection
+        runs.model.change_settings(max_iterations=4)
+    said: list[str] = []
+    runs.model.noticed.connect(lambda text, _: said.append(text))
+    replayed.go_on = False
+    runs.start()
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    runs.cancel()
+    wait_until_idle(runs, qtbot)
+    kept = "the last whole result" if whole else "what was found so far"
+    assert said == [f"Cancelled; {kept} is kept."]
+
+
 def test_another_sequence_ends_the_run(
     runs: RunController, replayed: Any, qtbot: QtBot, tiny_folder: Any
 ) -> None:

@@ -445,3 +445,36 @@ def test_a_file_that_was_taken_away_is_told_and_not_begun_anew(tmp_path: Path) -
     store.give(verdict(0, 1, VerdictKind.OK))
     assert len(store.current()) == 2
     store.close()
+
+
+def test_an_edit_is_undone_by_its_number_whatever_came_after_it(tmp_path: Path) -> None:
+    with ReviewStore(tmp_path) as store:
+        first = store.give(verdict(0, 0, VerdictKind.OK))
+        store.give(verdict(0, 1, VerdictKind.CRACK_A))
+        store.correct((0, 0), "Ann", np.ones((2, 2), bool), 1.0)
+        change = store.undo("Ann", first)
+        assert change is not None
+        assert (change.cell, change.verdict, change.superseded) == ((0, 0), None, False)
+        assert [v.cell for v in store.current()] == [(0, 1)]
+        assert store.mask((0, 0), "Ann") is not None
+        store.redo("Ann", first)
+        assert [v.kind for v in store.current()] == [VerdictKind.OK, VerdictKind.CRACK_A]
+        assert store.current()[0].crack_length_cells == 1.0
+        assert store.undo("Bob", first) is None
+
+
+def test_an_undo_does_not_take_away_what_was_said_later(tmp_path: Path) -> None:
+    with ReviewStore(tmp_path) as store:
+        first = store.give(verdict(0, 0, VerdictKind.OK))
+        second = store.give(verdict(0, 0, VerdictKind.CRACK_C, note="newer"))
+        change = store.undo("Ann", first)
+        assert change is not None
+        assert change.superseded
+        assert change.verdict == store.current()[0]
+        assert store.current()[0].note == "newer"
+        assert len(store.history()) == 2
+        store.undo("Ann", second)
+        store.undo("Ann", first)
+        assert store.current() == ()
+        assert store.redo("Ann", second).superseded  # type: ignore[union-attr]
+        assert store.current() == ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from napari.components import ViewerModel
 from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, Signal
+from qtpy.QtGui import QFocusEvent
 from qtpy.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -171,6 +172,7 @@ class CellsDock(QWidget):
 
     def _on_selected(self, cell: Cell | None) -> None:
         index = self.cells.index_of(cell)
+        self.view.elsewhere = cell is not None and not index.isValid()
         if index != self.view.currentIndex():
             with QSignalBlocker(self.view.selectionModel()):
                 self.view.setCurrentIndex(index)
@@ -190,8 +192,26 @@ class CellsDock(QWidget):
         self.caption.setToolTip(text)
 
 
-def _view(cells: CellList, delegate: TileDelegate) -> QListView:
-    view = QListView()
+class _Gallery(QListView):
+    """A list that selects nothing by getting the focus while the selected cell is not listed.
+
+    Qt takes the first one: the next verdict would be about that.
+    """
+
+    elsewhere = False
+
+    def focusInEvent(self, event: QFocusEvent) -> None:  # noqa: N802 (Qt's name)
+        """Show that keys go here."""
+        if not self.elsewhere:
+            super().focusInEvent(event)
+            return
+        with QSignalBlocker(self.selectionModel()):
+            super().focusInEvent(event)
+            self.setCurrentIndex(QModelIndex())
+
+
+def _view(cells: CellList, delegate: TileDelegate) -> _Gallery:
+    view = _Gallery()
     view.setModel(cells)
     view.setItemDelegate(delegate)
     view.setViewMode(QListView.ViewMode.IconMode)
