@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -26,11 +26,14 @@ SIGMA, NOISE = 0.45, 0.004
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What of a Sequence the reconstruction asks for."""
+    """What the stages ask of a Sequence."""
 
-    images: tuple[np.ndarray, ...]
+    images: Sequence[np.ndarray]
     noise: NoiseModel = field(default_factory=lambda: NoiseModel(NOISE**2, 0.0))
-    shape: tuple[int, int] = SHAPE
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.images[0].shape
 
     def __len__(self) -> int:
         return len(self.images)

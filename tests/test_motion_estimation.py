@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
@@ -15,27 +14,13 @@ from pv_inspect.motion import length_and_angle, motion_of
 from pv_inspect.motion_estimation import CrossSpectra, estimate_motion, fit_motion
 from pv_inspect.observation import ObservationModel, SensorRays
 from pv_inspect.registration import Registration
-from pv_inspect.sequence import Frame, NoiseModel
+from pv_inspect.sequence import NoiseModel
+from tests.recording import Frames
 
 SHAPE = (190, 270)
 CAMERA = Camera(np.array([[400.0, 0, 135.0], [0, 400.0, 95.0], [0, 0, 1]]), -0.05)
 LAYOUT = ModuleLayout(2, 3)
 NOISE = 0.004
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """What of a Sequence the estimation asks for."""
-
-    images: tuple[np.ndarray, ...]
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(NOISE**2, 0.0))
-    shape: tuple[int, int] = SHAPE
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def frame(self, index: int) -> Frame:
-        return Frame(self.images[index], np.ones(self.shape, bool))
 
 
 def errors(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
@@ -70,7 +55,7 @@ def recording(motions: np.ndarray) -> tuple[Any, Registration]:
     for H, motion in zip(homographies, motions, strict=True):
         clean = model.frame(H, motion).forward(scene)
         images.append((clean + rng.normal(0, NOISE, SHAPE)).astype(np.float32))
-    return Frames(tuple(images)), registration
+    return Frames(images, NoiseModel(NOISE**2, 0.0)), registration
 
 
 def test_motions_are_the_minimum_of_exact_cross_spectra() -> None:

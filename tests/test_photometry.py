@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,30 +20,14 @@ from pv_inspect.photometry import (
     observed,
 )
 from pv_inspect.registration import Registration
-from pv_inspect.sequence import Frame, NoiseModel
+from pv_inspect.sequence import NoiseModel
 from pv_inspect.solver import Problem, first_guess, minimise
-
-T = TypeVar("T")
+from tests.recording import Frames, drain
 
 SHAPE = (112, 144)
 CAMERA = Camera(np.array([[300.0, 0, 71.5], [0, 300.0, 55.5], [0, 0, 1]]), -0.1)
 LAYOUT = ModuleLayout(3, 4)
 SIGMA, NOISE, N = 0.5, 0.003, 14
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """What of a Sequence the photometry asks for."""
-
-    images: list[np.ndarray]
-    noise: NoiseModel = field(default_factory=lambda: NoiseModel(NOISE**2, 0.0))
-    shape: tuple[int, int] = SHAPE
-
-    def __len__(self) -> int:
-        return len(self.images)
-
-    def frame(self, index: int) -> Frame:
-        return Frame(self.images[index], np.ones(self.shape, bool))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +45,6 @@ class Made:
         return drain(
             estimate_photometry(self.sequence, self.registration, self.model, self.image, still)
         )
-
-
-def drain(work: Generator[Any, None, T]) -> T:
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            result: T = end.value
-            return result
 
 
 def recorded(
@@ -105,7 +79,7 @@ def recorded(
         clean = model.frame(H).forward(scene)
         seen = clean * response + offset
         images.append((seen + rng.normal(0, NOISE, SHAPE)).astype(np.float32))
-    sequence: Any = Frames(images)
+    sequence: Any = Frames(images, NoiseModel(NOISE**2, 0.0))
     wrong = ObservationModel.build(rays, CAMERA, homographies, grid, model_sigma)
     equations = NormalEquations.empty(wrong)
     frames = [observed(sequence, registration, i) for i in range(N)]
@@ -207,7 +181,7 @@ def test_observed_inverts_what_the_sensor_did() -> None:
     )  # fmt: skip
     image = (1.2 * light * response + offsets[0] + 0.02).astype(np.float32)
     sensor = Photometry(response, offsets, Photometry.ideal(1, SHAPE).vignetting, np.ones(SHAPE))
-    sequence: Any = Frames([image])
+    sequence: Any = Frames([image], NoiseModel(NOISE**2, 0.0))
     g, weights = observed(sequence, registration, 0, sensor)
     np.testing.assert_allclose(g, light, atol=1e-5)
     np.testing.assert_allclose(weights, (1.2 * response / NOISE) ** 2, rtol=1e-5)

@@ -124,7 +124,7 @@ def _while_running(model: WorkbenchModel) -> NextStep:
         )
     if model.run_until is not None:
         return NextStep(Deed.RUN, "Then run to the end", "Go on with the run after this step.")
-    return NextStep(Deed.CANCEL, "Cancel the run", "The last whole result stays.")
+    return NextStep(Deed.CANCEL, "Cancel the run", "A whole result from before stays.")
 
 
 def _statuses(model: WorkbenchModel) -> dict[str, Status]:

@@ -33,7 +33,7 @@ class RunBox(QWidget):
         )
         self._begun_s: float | None = None
         self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("Stop the run at its next step; the last whole result stays.")
+        self.cancel.setToolTip("Stop the run at its next step; a whole result from before stays.")
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
         self.progress.setTextVisible(True)
