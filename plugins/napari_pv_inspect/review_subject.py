@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from napari_pv_inspect.sources import result_cells
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import (
-    BusbarFinder,
     CellFeatures,
     CrackMap,
     crack_marks,
     detector_of,
 )
-from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
@@ -112,17 +110,10 @@ class Subject:
     @cached_property
     def _measure(self) -> Measure:
         assert self.cracks is not None
-        images = self.tiles.images
-        mean = images.mean((0, 1), dtype=np.float32)
-        detector = detector_of(self.settings)
-        if isinstance(detector, BusbarFinder):
-            busbars = busbars_from_map(detector.read(mean)[1])
-        else:
-            busbars = busbars_from_image(mean)
-        return Measure(
+        return Measure.of_cells(
+            self.tiles.images,
             self.cracks.threshold,
             self.tiles.grid.pixels_per_unit,
-            float(np.median(images)),
-            busbars,
             self.settings.cell_width_mm,
+            detector_of(self.settings),
         )

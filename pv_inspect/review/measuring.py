@@ -65,18 +65,39 @@ class Measure:
         grid, layout = result.grid, result.grid.layout
         places = np.ndindex(layout.rows, layout.cols)
         tiles = np.array([result.image[grid.cell_slices(*place)] for place in places])
-        mean = tiles.mean(0, dtype=np.float32)
+        return cls.of_cells(
+            tiles,
+            result.crack_threshold,
+            grid.pixels_per_unit,
+            result.settings.cell_width_mm,
+            detector,
+        )
+
+    @classmethod
+    def of_cells(
+        cls,
+        tiles: Image,
+        threshold: float,
+        cell_width_px: float,
+        cell_width_mm: float | None,
+        detector: CrackDetector | None,
+    ) -> Measure:
+        """Measure of a module's cells; see `of`.
+
+        Parameters
+        ----------
+        tiles : (..., height, width) float32
+            The cells.
+        threshold, cell_width_px, cell_width_mm
+            See the class.
+        detector : CrackDetector or None
+        """
+        mean = tiles.mean(tuple(range(tiles.ndim - 2)), dtype=np.float32)
         if isinstance(detector, BusbarFinder):
             busbars = busbars_from_map(detector.read(mean)[1])
         else:
             busbars = busbars_from_image(mean)
-        return cls(
-            result.crack_threshold,
-            grid.pixels_per_unit,
-            float(np.median(tiles)),
-            busbars,
-            result.settings.cell_width_mm,
-        )
+        return cls(threshold, cell_width_px, float(np.median(tiles)), busbars, cell_width_mm)
 
 
 def measured(
