@@ -25,7 +25,7 @@ from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.elided import ElidedLabel
 from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.frames_box import FramesBox
-from napari_pv_inspect.docks.hand import STYLE, CalmWheel
+from napari_pv_inspect.docks.hand import STYLE, CalmWheel, finish_typing
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
@@ -241,13 +241,20 @@ class InspectDock(QWidget):
     def _on_open_sample(self) -> None:
         self.bench.open(sample_folder())
 
+    def _settle(self) -> None:
+        """Take over what is still in the hand, before a run reads the settings."""
+        finish_typing()
+        self.bench.history.settle()
+
     def _on_detect(self) -> None:
+        self._settle()
         self.bench.runs.start(until=Stage.CALIBRATE)
 
     def _on_live(self) -> None:
         show_live_cell(self.bench, self)
 
     def _on_run(self) -> None:
+        self._settle()
         self.bench.runs.start()
 
     def _on_cancel(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
     QFileDialog,
     QGroupBox,
@@ -49,6 +50,9 @@ class LensBox(QGroupBox):
         self.fit.setToolTip("Let the fit choose kappa, and show the fitted grid again.")
         self.residual = QLabel("kappa is fitted with the grid.")
         self.residual.setWordWrap(True)
+        # The curve below must not jump while a line more comes and goes.
+        self.residual.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
+        self.residual.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.curve = CurveView()
         self.load = QPushButton("Load camera...")
         self.load.setToolTip(setting_tooltip("calibration_file"))

@@ -90,9 +90,10 @@ class SettingSlider(QWidget):
         self.number.valueChanged.connect(self._on_number)
 
     def put_in_head(self, widget: QWidget) -> None:
-        """Place a widget beside the number."""
+        """Place a widget beside the number; the tab key comes to it first."""
         self._head.insertWidget(self._head.count() - 1, widget)
-        QWidget.setTabOrder(widget, self.slider)
+        QWidget.setTabOrder(self.number, widget)
+        QWidget.setTabOrder(widget, self.number)
 
     @property
     def value(self) -> float:
