@@ -171,6 +171,22 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
         assert widget.grab().toImage() != without
 
 
+@pytest.mark.xvfb
+def test_the_tab_key_leaves_every_page_downwards(window: tuple[Any, Any], qtbot: QtBot) -> None:
+    viewer, dock = window
+    viewer.window._qt_window.activateWindow()
+    for page in ("Frames", "Grid", "Image", "Review"):
+        dock.show_page(page)
+        dock.open_folder.setFocus()
+        qtbot.waitUntil(dock.open_folder.hasFocus, timeout=2000)
+        reached = []
+        while dock.result.save not in reached:
+            qtbot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Tab)
+            assert QApplication.focusWidget() not in reached
+            reached.append(QApplication.focusWidget())
+        assert dock.steps.next in reached
+
+
 def test_every_control_has_a_tooltip(bench: Any) -> None:
     _, dock, _ = bench
     for kind in (QAbstractButton, QAbstractSpinBox, QComboBox, QSlider):

@@ -54,6 +54,7 @@ class ModuleBox(QGroupBox):
             # The arrow keys step it; buttons would take the room of the figures.
             field.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
             field.setMinimumWidth(52)
+            field.setAccessibleName(title)
             label = QLabel(title)
             label.setBuddy(field)
             label.setToolTip(field.toolTip())
