@@ -11,6 +11,7 @@ import pytest
 from pv_inspect import pipeline
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
 from pv_inspect.reconstruction import Progress
@@ -121,14 +122,7 @@ def test_previews_of_the_reconstruction_come_through(stages: Stages) -> None:
 def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
     stages: Stages,
 ) -> None:
-    steps = inspect(SEQUENCE)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            seconds = end.value.seconds
-            break
-        time.sleep(0.02)
+    seconds = result_of(inspect(SEQUENCE), lambda _: time.sleep(0.02)).seconds
     assert set(seconds) == {stage.value for stage in Stage}
     # about a dozen steps of 0.02 s were held; the fakes themselves take next to nothing
     assert sum(seconds.values()) < 0.1
