@@ -37,6 +37,9 @@ __all__ = ["Inspection", "Step", "inspect", "run_to_end"]
 Part = Crossings | Calibration | Registration | Reconstruction | CellTiles | CrackMap
 T = TypeVar("T")
 
+CONTRADICTION = 2.5
+"""Median residual of the frames, in units of their noise, from which on the user is warned."""
+
 # The field of Inspection that a stage fills, and roughly what share of a run it takes.
 _FIELD: dict[Stage, str] = {
     Stage.DETECT: "crossings",
@@ -410,6 +413,13 @@ def _warnings(state: Inspection) -> tuple[str, ...]:
     if n_used == 1:
         which = "1 frame" if len(reasons) == 1 else f"1 frame of {len(reasons)} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
+    residuals = [r for r in _present(state.reconstruction).residual_rms if np.isfinite(r)]
+    typical = float(np.median(residuals or [0.0]))
+    if n_used > 1 and typical > CONTRADICTION:
+        found.append(
+            f"The frames contradict the module image by {typical:.1f} times their noise, typically "
+            "1: check that all of them show the same module and that the grid fits them."
+        )
     found += [
         f"{name} is not used: {why.rstrip('.')}."
         for name, why in zip(names, reasons, strict=True)

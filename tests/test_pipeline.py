@@ -37,6 +37,7 @@ class Stages:
         self.closed: list[str] = []
         self.crossings: Any = made_crossings()
         self.registration: Any = made_registration()
+        self.reconstruction: Any = made_reconstruction()
         for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
             monkeypatch.setattr(pipeline, name, getattr(self, name))
         monkeypatch.setattr(pipeline, "register_by_homography", self.register_by_homography)
@@ -74,7 +75,7 @@ class Stages:
         except GeneratorExit:
             self.closed.append("reconstruct")
             raise
-        return made_reconstruction()
+        return self.reconstruction
 
     def cut_cells(self, reconstruction: Any) -> Any:
         self.ran.append("cells")
@@ -207,6 +208,12 @@ def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) ->
 def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
     result = run_to_end(inspect(SEQUENCE))
     assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
+
+
+def test_frames_that_do_not_fit_together_are_warned_about(stages: Stages) -> None:
+    stages.reconstruction = replace(made_reconstruction(), residual_rms=(6.0, float("nan"), 8.0))
+    told = run_to_end(inspect(SEQUENCE)).warnings
+    assert "contradict the module image by 7.0 times their noise" in told[0]
 
 
 def test_one_frame_works_and_is_called_no_super_resolution(stages: Stages) -> None:
