@@ -8,6 +8,7 @@ import napari
 
 from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.memory import left_alone
 
 __all__ = ["build", "run"]
 
@@ -31,4 +32,5 @@ def run(path: Path | None) -> None:
     inspect, _ = build(viewer)
     if path is not None:
         inspect.bench.open(path)
-    napari.run()
+    with left_alone():
+        napari.run()
