@@ -28,7 +28,7 @@ from napari_pv_inspect.cell_renderer import CellPicture, CellRenderer
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.live_dock import LiveDock
 from napari_pv_inspect.docks.live_place import show_live_cell
-from napari_pv_inspect.memory import left_alone
+from napari_pv_inspect.memory import few_arenas, left_alone
 from napari_pv_inspect.sample import sample_folder
 from pv_inspect.pipeline import Inspection, inspect, run_to_end
 from pv_inspect.sequence import Sequence
@@ -266,6 +266,7 @@ def main(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     sequence = Sequence.open(options.sequence or sample_folder())
     hint = {k: sequence.layout_hint.get(k) for k in ("rows", "cols", "cell_aspect")}
+    few_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
