@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.camera import Camera
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.photometry import (
@@ -22,7 +23,7 @@ from pv_inspect.photometry import (
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import NoiseModel
 from pv_inspect.solver import Problem, first_guess, minimise
-from tests.recording import Frames, drain
+from tests.recording import Frames
 
 SHAPE = (112, 144)
 CAMERA = Camera(np.array([[300.0, 0, 71.5], [0, 300.0, 55.5], [0, 0, 1]]), -0.1)
@@ -42,7 +43,7 @@ class Made:
 
     def photometry(self) -> Photometry:
         still = np.zeros((len(self.sequence), 2))
-        return drain(
+        return result_of(
             estimate_photometry(self.sequence, self.registration, self.model, self.image, still)
         )
 
@@ -86,7 +87,7 @@ def recorded(
     for H, (g, weights) in zip(homographies, frames, strict=True):
         equations.add(H, g, weights)
     guess = first_guess(equations)
-    image = drain(minimise(Problem(equations, 0.5, 0.5), guess, 30)).image
+    image = result_of(minimise(Problem(equations, 0.5, 0.5), guess, 30)).image
     return Made(sequence, registration, wrong, np.asarray(image), frames)
 
 
@@ -166,7 +167,7 @@ def test_few_frames_are_not_corrected(
         r.layout, r.camera, r.homographies, np.arange(N) < 5, r.why, r.gain, r.offset, r.rms
     )
     still = np.zeros((len(made.sequence), 2))
-    found = drain(estimate_photometry(made.sequence, few, made.model, made.image, still))
+    found = result_of(estimate_photometry(made.sequence, few, made.model, made.image, still))
     np.testing.assert_array_equal(found.response, 1.0)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import SensorRays
 from pv_inspect.photometry import observed
@@ -16,7 +17,7 @@ from pv_inspect.prediction import cut_view
 from pv_inspect.preview import Preview, Region, bent
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration
-from tests.recording import LAYOUT, drain, recording, settings_with
+from tests.recording import LAYOUT, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300)
 
@@ -24,7 +25,7 @@ SETTINGS = settings_with(max_iterations=300)
 @pytest.fixture(scope="module")
 def made() -> tuple[Any, Registration, Reconstruction]:
     sequence, registration, _ = recording(12)
-    return sequence, registration, drain(reconstruct(sequence, registration, SETTINGS))
+    return sequence, registration, result_of(reconstruct(sequence, registration, SETTINGS))
 
 
 def cell_of(whole: Reconstruction, row: int, col: int) -> np.ndarray:
