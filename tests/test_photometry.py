@@ -188,6 +188,25 @@ def test_observed_inverts_what_the_sensor_did() -> None:
     np.testing.assert_allclose(weights, (1.2 * response / NOISE) ** 2, rtol=1e-5)
 
 
+@pytest.mark.parametrize(
+    "part", [np.s_[0:20, 30:50], np.s_[40:41, 50:70], np.s_[80 : SHAPE[0], 100 : SHAPE[1]]]
+)
+def test_a_part_of_a_frame_is_observed_as_in_the_whole(part: tuple[slice, slice]) -> None:
+    rng = np.random.default_rng(25)
+    response = rng.uniform(0.7, 1.1, SHAPE).astype(np.float32)
+    offsets = rng.normal(0, 0.01, (1, SHAPE[1])).astype(np.float32)
+    registration = Registration(
+        LAYOUT, CAMERA, np.eye(3)[None], np.ones(1, bool), ("",), np.array([1.2]),
+        np.array([0.02]), np.ones(1),
+    )  # fmt: skip
+    sensor = Photometry(response, offsets, Photometry.ideal(1, SHAPE).vignetting, np.ones(SHAPE))
+    image = rng.uniform(0.1, 0.8, SHAPE).astype(np.float32)
+    sequence: Any = Frames([image], NoiseModel(NOISE**2, 0.01))
+    whole = observed(sequence, registration, 0, sensor)
+    for cut, expected in zip(observed(sequence, registration, 0, sensor, part), whole, strict=True):
+        np.testing.assert_allclose(cut, expected[part], rtol=1e-6)
+
+
 def test_mean_illumination_is_the_vignetting_where_the_frames_see_the_module(
     patterned: tuple[Made, np.ndarray, np.ndarray, np.ndarray],
 ) -> None:

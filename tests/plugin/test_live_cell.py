@@ -113,6 +113,22 @@ def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbo
     assert "lambda" in shown.caption.text()
 
 
+def test_the_grid_is_redrawn_for_the_lens_only(
+    live: tuple[InspectDock, LiveDock], qtbot: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dock, _ = live
+    drawn: list[int] = []
+    monkeypatch.setattr(dock.bench.geometry, "bend", lambda frame, _: drawn.append(frame))
+    dock.lens.kappa.slider.setValue(dock.lens.kappa.slider.value() + 20)
+    qtbot.waitUntil(lambda: bool(drawn))
+    qtbot.wait(200)
+    drawn.clear()
+    for position in (300, 310, 320):
+        dock.image.prior_weight.slider.setValue(position)
+        qtbot.wait(100)
+    assert not drawn
+
+
 def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
     live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
