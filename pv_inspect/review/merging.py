@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from pv_inspect.review.entries import CONTENT
@@ -35,10 +35,10 @@ class Contents:
     states : tuple of (rater, stored, row, col)
     """
 
-    lines: tuple[tuple[int, _Line], ...]
-    masks: dict[int, bytes]
-    module_data: tuple[_Line, ...]
-    states: tuple[_Line, ...]
+    lines: tuple[tuple[int, _Line], ...] = ()
+    masks: dict[int, bytes] = field(default_factory=dict)
+    module_data: tuple[_Line, ...] = ()
+    states: tuple[_Line, ...] = ()
 
     @property
     def latest(self) -> dict[_Place, tuple[Any, ...]]:

@@ -28,7 +28,7 @@ from pv_inspect.review.entries import (
     stacks,
     stepped,
 )
-from pv_inspect.review.merging import contents, merge
+from pv_inspect.review.merging import Contents, contents, merge
 from pv_inspect.review.schema import damaged, failure, opened
 from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
 
@@ -272,31 +272,27 @@ class ReviewStore:
             ).fetchall()
         return {(int(row), int(col)): self._mask(png) for row, col, png in lines}
 
-    def take_over(self, other: ReviewStore) -> tuple[tuple[str, Cell], ...]:
-        """Take over what another store holds, with its history; what is said here stays.
+    def contents(self) -> Contents:
+        """All that is stored, as it is at one moment; for `merge`."""
+        with self._reading() as connection:
+            if connection is None:
+                return Contents()
+            connection.execute("BEGIN")
+            try:
+                return contents(connection)
+            finally:
+                connection.execute("ROLLBACK")
 
-        Parameters
-        ----------
-        other : ReviewStore
-            It is not changed.
+    def merge(self, other: Contents) -> tuple[tuple[str, Cell], ...]:
+        """Take over what another store holds, with its history; what is said here stays.
 
         Returns
         -------
         tuple of (rater, cell)
             Where both say something, and not the same.
         """
-        if os.path.realpath(other.path) == os.path.realpath(self.path):
-            return ()
-        with other._reading() as source:
-            if source is None:
-                return ()
-            source.execute("BEGIN")
-            try:
-                review = contents(source)
-            finally:
-                source.execute("ROLLBACK")
         with self._writing() as connection:
-            return merge(connection, review)
+            return merge(connection, other)
 
     def describe(self, data: ModuleData) -> None:
         """Store what is known about the module; what was stored before is kept as history."""

@@ -516,7 +516,7 @@ def test_another_review_is_taken_over_whole_and_replaces_nothing(tmp_path: Path)
         target.give(Verdict(0, 0, VerdictKind.CRACK_C, "Ada", "new"))
         target.give(Verdict(3, 3, VerdictKind.OK, "Eve"))
         before = source.history()
-        assert target.take_over(source) == (("Ada", (0, 0)),)
+        assert target.merge(source.contents()) == (("Ada", (0, 0)),)
         assert {(v.rater, v.cell): (v.kind, v.note) for v in target.current()} == {
             ("Ada", (0, 0)): (VerdictKind.CRACK_C, "new"),
             ("Ben", (0, 0)): (VerdictKind.CRACK_B, "old"),
@@ -531,7 +531,7 @@ def test_another_review_is_taken_over_whole_and_replaces_nothing(tmp_path: Path)
         of_ben = [(e.action, e.stored) for e in before if e.rater == "Ben"]
         assert [(e.action, e.stored) for e in target.history() if e.rater == "Ben"] == of_ben
         n_lines = len(target.history())
-        target.take_over(source)
+        target.merge(source.contents())
         assert len(target.history()) == n_lines, "taken over once"
         change = target.undo("Ben")
         assert change is not None
@@ -542,6 +542,6 @@ def test_an_empty_review_and_the_same_folder_are_nothing_to_take_over(tmp_path: 
     (tmp_path / "empty").mkdir()
     with ReviewStore(tmp_path) as store, ReviewStore(tmp_path / "empty") as empty:
         store.give(Verdict(0, 0, VerdictKind.OK, "Ada"))
-        assert store.take_over(empty) == ()
-        assert store.take_over(ReviewStore(tmp_path)) == ()
+        assert store.merge(empty.contents()) == ()
+        assert store.merge(ReviewStore(tmp_path).contents()) == ()
         assert len(store.history()) == 1
