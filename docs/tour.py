@@ -22,6 +22,7 @@ from expert import Expert
 from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtWidgets import QPushButton, QWidget
 
+from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.frame_table import ticked
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.sample import sample_folder
@@ -223,7 +224,7 @@ def correct_marks(expert: Expert) -> None:
     """Show a cell large, paint a mark, judge it, go back."""
     gallery, state = expert.cells, expert.bench.review.state
     expert.press(gallery.view, Qt.Key.Key_Return)
-    view = expert.viewer.window.dock_widgets["Cell"]
+    view = large_cell(expert.bench).view
     expert.until(lambda: view._frame is not None, "the best frame")
     cell = expert.model.selected_cell
     before = state.features(cell).crack_length_cells

@@ -10,6 +10,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.utils.notifications import show_error
+from psygnal import Signal
 from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from superqt.utils import qthrottled
 
@@ -45,6 +46,8 @@ PREVIEW_MS = 300
 
 class Workbench(QObject):
     """Everything of pv-inspect that belongs to one viewer, except the docks that show it."""
+
+    closing = Signal()
 
     _of_viewer: ClassVar[WeakKeyDictionary[Any, Workbench]] = WeakKeyDictionary()
 
@@ -120,6 +123,7 @@ class Workbench(QObject):
         """Stop a run and let go of the viewer; called when its window closes."""
         if self.viewer not in self._of_viewer:
             return
+        self.closing.emit()
         del self._of_viewer[self.viewer]
         self.runs.shutdown()
         self._show_preview.cancel()

@@ -15,6 +15,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.model import RunState
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
@@ -335,13 +336,15 @@ class Monkey:
             live.parentWidget().close()
 
     def _do_large_cell(self) -> None:
-        cell = self.viewer.window.dock_widgets.get("Cell")
-        if cell is None or not cell.isVisible():
+        place = large_cell(self.bench)
+        if not place.is_open:
             self.cells.open_cell()
         elif self._rng.random() < 0.5:
             self.bench.review.step(int(self._any([-1, 1])))
+        elif self._rng.random() < 0.5:
+            place.toggle_gallery()
         else:
-            cell.parentWidget().close()
+            place.leave()
 
     def _do_dock(self) -> None:
         for name in ("Cells", "Inspect module"):

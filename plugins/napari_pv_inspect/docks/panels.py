@@ -20,7 +20,7 @@ from qtpy.QtGui import (
     QTransform,
     QWheelEvent,
 )
-from qtpy.QtWidgets import QSizePolicy, QWidget
+from qtpy.QtWidgets import QApplication, QWidget
 
 from napari_pv_inspect.appearance import CRACK_RGB
 
@@ -30,6 +30,8 @@ Pixels = NDArray[np.uint8]
 ZOOM_STEP = 1.2
 MAX_ZOOM = 40.0
 TITLE = 18
+# From this size on, screen pixels per pixel of the picture, its pixels are shown as they are.
+PIXELS_FROM = 6.0
 
 
 @dataclass
@@ -68,20 +70,31 @@ class Panel(QWidget):
     ----------
     title, tip : str
     view : SharedView
+
+    Attributes
+    ----------
+    number : int
+        Key that shows it large.
+    smooth : bool
+        Whether pixels of the picture run into each other where it is enlarged.
     """
 
-    def __init__(self, title: str, tip: str, view: SharedView) -> None:
+    clicked = QtSignal(object)
+
+    def __init__(self, title: str, tip: str, view: SharedView, smooth: bool = True) -> None:
         super().__init__()
         self.title = title
         self.view = view
+        self.number = 0
+        self.smooth = smooth
         self.sentence = ""
         self._image: QImage | None = None
         self._outlines: list[QPolygonF] = []
         self._outline_opacity = 1.0
         self._dragged_from: QPointF | None = None
+        self._pressed_at = QPointF()
+        self._is_click = False
         self.setToolTip(tip)
-        self.setMinimumSize(120, 120)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
         view.changed.connect(self.repaint_soon)
 
@@ -113,7 +126,7 @@ class Panel(QWidget):
             painter.setClipRect(self._picture_area())
             painter.setTransform(self._transform())
             scale = self._transform().m11() * self.devicePixelRatioF()
-            smooth = scale < 1
+            smooth = scale < 1 or (self.smooth and scale < PIXELS_FROM)
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, smooth)
             painter.drawImage(QPointF(0, 0), self._image)
             self._paint_over(painter)
@@ -121,7 +134,11 @@ class Panel(QWidget):
             painter.setClipping(False)
         painter.setPen(QColor("#d0d4d8"))
         flags = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
-        painter.drawText(QRectF(4, 0, self.width() - 8, TITLE), flags, self.title)
+        line = QRectF(4, 0, self.width() - 8, TITLE)
+        title = f"{self.number}  {self.title}" if self.number else self.title
+        elide = painter.fontMetrics().elidedText
+        title = elide(title, Qt.TextElideMode.ElideMiddle, round(line.width()))
+        painter.drawText(line, flags, title)
         if self.sentence:
             box = self._picture_area().adjusted(8, 0, -8, 0)
             flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
@@ -144,13 +161,19 @@ class Panel(QWidget):
         event.accept()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
-        """Begin to move the pictures."""
-        self._dragged_from = event.position()
+        """Begin to move the pictures, or to click."""
+        self._dragged_from = self._pressed_at = event.position()
+        self._is_click = True
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Move the pictures."""
         if self._dragged_from is None or self._image is None:
             return
+        if self._is_click:
+            way = event.position() - self._pressed_at
+            if way.manhattanLength() < QApplication.startDragDistance():
+                return
+            self._is_click = False
         to = self.to_picture()
         way = to.map(event.position()) - to.map(self._dragged_from)
         self._dragged_from = event.position()
@@ -160,7 +183,11 @@ class Panel(QWidget):
 
     def mouseReleaseEvent(self, _: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Let go."""
+        clicked = self._dragged_from is not None and self._is_click
         self._dragged_from = None
+        self._is_click = False
+        if clicked:
+            self.clicked.emit(self)
 
     def mouseDoubleClickEvent(self, _: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Show the whole cell again."""
