@@ -212,7 +212,8 @@ class LiveKappa:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        self._throttled()
+        # Not within the event: it comes too while napari adds a layer, and two at once it can't add.
+        self._soon.start(0)
 
 
 def _lens(settings: Settings) -> tuple[object, ...]:
