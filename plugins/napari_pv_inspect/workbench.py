@@ -91,7 +91,7 @@ class Workbench(QObject):
         self.model.preview_changed.connect(self._on_preview)
         self.model.noticed.connect(self._on_notice)
         self.model.sequence_changed.connect(self._on_sequence)
-        # Last: what is adopted may take another layer away, which napari's list has to be ready for.
+        # Last: what is adopted may take another layer away, and napari's list has to be ready.
         viewer.layers.events.inserted.connect(self._on_inserted, position="last")
         window = getattr(viewer, "window", None)
         self._main_window = getattr(window, "_qt_window", None)
