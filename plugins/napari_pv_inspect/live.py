@@ -167,5 +167,5 @@ class LiveKappa:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        # Not within the event: it comes too while napari adds a layer, and two at once it can't add.
+        # Not within the event: it comes too while napari adds a layer, and it adds one at a time.
         self._soon.start(0)
