@@ -212,7 +212,7 @@ class LiveKappa:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        # Not within the event: napari sends it while it adds a layer, and can't add another one.
+        # Not within the event: it comes too while napari adds a layer, and it adds one at a time.
         self._soon.start(0)
 
 

@@ -91,10 +91,11 @@ class Workbench(QObject):
         self.model.preview_changed.connect(self._on_preview)
         self.model.noticed.connect(self._on_notice)
         self.model.sequence_changed.connect(self._on_sequence)
-        # Last: what is adopted may take another layer away, and napari's list has to be ready.
+        # Last: adopting may take another layer away, which napari's list has to be ready for.
         viewer.layers.events.inserted.connect(self._on_inserted, position="last")
         window = getattr(viewer, "window", None)
         self._main_window = getattr(window, "_qt_window", None)
+        self._refused = False
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
@@ -110,6 +111,8 @@ class Workbench(QObject):
             )
             self._drops = DropTaker(self._main_window._qt_viewer, self.open)
             self._main_window.installEventFilter(self)
+            # `viewer.close()` closes the canvas first: without it no question can be asked.
+            self._main_window._qt_viewer.installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
             self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
@@ -145,18 +148,26 @@ class Workbench(QObject):
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
+            self._main_window._qt_viewer.removeEventFilter(self)
             if self.shortcuts is not None:
                 self.shortcuts.close()
             self._main_window = None
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Close with the window, and before it."""
-        if watched is self._main_window and event.type() == QEvent.Type.Close:
-            if not self.review.may_close(self._main_window):
-                event.ignore()
-                return True
+        if event.type() != QEvent.Type.Close or self._main_window is None:
+            return False
+        canvas = self._main_window._qt_viewer
+        if watched not in (self._main_window, canvas):
+            return False
+        # napari closes the window right after the canvas: the user is not asked twice.
+        refused, self._refused = self._refused, False
+        if not refused and self.review.may_close(self._main_window):
             self.close()
-        return False
+            return False
+        self._refused = watched is canvas
+        event.ignore()
+        return True
 
     def fit_view(self) -> None:
         """Show everything, once docks that come or go have settled."""

@@ -380,7 +380,8 @@ class Monkey:
             self.until(lambda: not self.bench.saver.busy, "the saved result")
             # What was judged goes to another folder as well.
             after = self.bench.review.state.folder
-            if before != after and before in self.given:
+            # None: other frames that were still being opened came meanwhile.
+            if after not in (None, before) and before in self.given:
                 self.given.setdefault(after, {}).update(self.given[before])
 
     def _do_reopen(self) -> None:

@@ -36,7 +36,9 @@ class FramesLayer:
         sequence = layer.metadata.get(SEQUENCE_KEY)
         if not isinstance(sequence, Sequence) or layer is self._slot.layer:
             return False
-        self._slot.drop()
+        if (earlier := self._slot.layer) is not None:
+            self._slot.drop()
+            layer.name = earlier.name
         self._slot.adopt(layer)
         if sequence is not self._model.sequence:
             self._model.open(sequence)
