@@ -17,6 +17,7 @@ __all__ = [
     "CRACKS",
     "CRACK_RGB",
     "EDITED_COLOUR",
+    "FOCUS_COLOUR",
     "FRAMES",
     "GRID",
     "GRID_COLOUR",
@@ -26,6 +27,8 @@ __all__ = [
     "POINT_SIZES",
     "POINT_SYMBOLS",
     "PREDICTED_COLOUR",
+    "PRIMARY_COLOUR",
+    "PRIMARY_HOVER_COLOUR",
     "SUPPORT",
     "contrast_limits",
     "crack_colormap",
@@ -50,6 +53,10 @@ POINT_SYMBOLS = ("disc", "x", "diamond")
 POINT_SIZES = (6.0, 7.0, 9.0)
 """LR px."""
 CRACK_RGB = (1.0, 0.55, 0.0)
+PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR = "#0072B2", "#1A86C4"
+"""Of the button for what comes next, behind white letters."""
+FOCUS_COLOUR = "#F0E442"
+"""Of the border around what the keyboard acts on."""
 
 
 def crack_colormap() -> dict[str, Any]:

@@ -61,11 +61,11 @@ def test_undo_takes_the_last_image_setting_back_whatever_else_changed() -> None:
     hand = Hand()
     hand.model.change_settings(psf_sigma_lr_px=0.6)
     hand.tuning.settle()
-    hand.model.change_settings(kappa=-0.1)
+    hand.model.change_settings(cell_aspect=1.5)
     hand.tuning.settle()
     hand.history.undo()
     assert hand.model.settings.psf_sigma_lr_px is None
-    assert hand.model.settings.kappa == -0.1
+    assert hand.model.settings.cell_aspect == 1.5
 
 
 def test_there_is_one_trial_per_settled_setting() -> None:

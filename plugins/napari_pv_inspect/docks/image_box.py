@@ -9,11 +9,11 @@ from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
     QFileDialog,
-    QFormLayout,
     QGroupBox,
     QHBoxLayout,
     QLabel,
     QPushButton,
+    QVBoxLayout,
     QWidget,
 )
 
@@ -59,14 +59,18 @@ class ImageBox(QGroupBox):
         super().__init__("Module image", parent)
         self._model = model
         self._live = live
-        self.magnification = SettingSlider("magnification", 1.0, 6.0, decimals=2)
-        self.prior_weight = SettingSlider("prior_weight", *LAMBDA_RANGE, 4, logarithmic=True)
-        self.automatic = QCheckBox("Lambda automatic")
+        self.magnification = SettingSlider("magnification", "Magnification", 1.0, 6.0, decimals=2)
+        self.prior_weight = SettingSlider(
+            "prior_weight", "Lambda", *LAMBDA_RANGE, 4, logarithmic=True
+        )
+        self.automatic = QCheckBox("automatic")
         self.automatic.setToolTip(
             "Choose lambda so that the image predicts pixels best that it has not seen."
         )
-        self.psf_sigma = SettingSlider("psf_sigma_lr_px", *SIGMA_RANGE, 2, logarithmic=True)
-        self.estimated = QCheckBox("PSF estimated")
+        self.psf_sigma = SettingSlider(
+            "psf_sigma_lr_px", "PSF sigma, LR px", *SIGMA_RANGE, 2, logarithmic=True
+        )
+        self.estimated = QCheckBox("estimated")
         self.estimated.setToolTip(
             "Estimate the blur of the lens from the frames. Unit of the slider: LR px."
         )
@@ -125,29 +129,25 @@ class ImageBox(QGroupBox):
             self._model.notice(f"Preset saved to {path}.")
 
     def _arrange(self) -> None:
-        for slider in (self.magnification, self.prior_weight, self.psf_sigma):
-            # Beside a scroll bar the buttons of the number would be cut off.
-            slider.number.setMinimumWidth(92)
-            slider.slider.setMinimumWidth(40)
-        marks = QHBoxLayout()
-        marks.addWidget(self.automatic)
-        marks.addWidget(self.estimated)
+        self.prior_weight.put_in_head(self.automatic)
+        self.psf_sigma.put_in_head(self.estimated)
         files = QHBoxLayout()
         for button in (self.load, self.save):
             files.addWidget(button)
-        form = QFormLayout(self)
-        form.setContentsMargins(6, 4, 6, 4)
-        form.setVerticalSpacing(4)
-        form.addRow(self.show_live)
-        form.addRow("Magnification", self.magnification)
-        form.addRow("Lambda", self.prior_weight)
-        form.addRow("PSF sigma", self.psf_sigma)
-        form.addRow(marks)
-        form.addRow("Prior", self.prior)
-        form.addRow(self.motion)
-        form.addRow(QLabel("Held-out residual over lambda"))
-        form.addRow(self.plot)
-        form.addRow(files)
+        prior = QHBoxLayout()
+        label = QLabel("Prior")
+        label.setBuddy(self.prior)
+        prior.addWidget(label)
+        prior.addWidget(self.prior, 1)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.show_live)
+        for slider in (self.magnification, self.prior_weight, self.psf_sigma):
+            layout.addWidget(slider)
+        layout.addLayout(prior)
+        layout.addWidget(self.motion)
+        layout.addWidget(QLabel("Held-out residual over lambda"))
+        layout.addWidget(self.plot)
+        layout.addLayout(files)
 
     def _on_magnification(self, value: float) -> None:
         self._model.change_settings(magnification=value)

@@ -6,6 +6,7 @@ from typing import Any
 
 from napari.components import ViewerModel
 from napari.layers import Layer
+from numpy.typing import NDArray
 
 __all__ = ["LayerSlot"]
 
@@ -53,6 +54,20 @@ class LayerSlot:
             if self._visible_before_veil is not None:
                 layer.visible = self._visible_before_veil
         self._visible_before_veil = None
+        return layer
+
+    def redraw(self, data: NDArray[Any]) -> Layer:
+        """Show ``data`` as `put` does, at a fraction of the cost where only numbers differ.
+
+        Extent and thumbnail stay as they were: for what moves a little, under the hand.
+        """
+        layer = self.layer
+        if layer is None or self._visible_before_veil is not None:
+            return self.put(data)
+        if layer.data.shape != data.shape:
+            return self.put(data)
+        layer.data[...] = data
+        layer.refresh(thumbnail=False, highlight=False, extent=False)
         return layer
 
     def veil(self) -> None:
