@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -241,22 +240,6 @@ def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
     expected = typical_prior_weight("tikhonov")
     assert f"lambda {expected:.3g}" in shown.caption.text()
     assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
-
-
-def test_presets_go_through_the_page(live: tuple[InspectDock, LiveDock], tmp_path: Path) -> None:
-    dock, _ = live
-    model = dock.bench.model
-    model.change_settings(prior="btv", psf_sigma_lr_px=0.5)
-    dock.image.save_preset(tmp_path / "mine")
-    model.change_settings(prior="wbtv", psf_sigma_lr_px=None)
-    dock.image.load_preset(tmp_path / "mine.toml")
-    assert (model.settings.prior, model.settings.psf_sigma_lr_px) == ("btv", 0.5)
-    assert dock.image.prior.currentData() == "btv"
-    assert not dock.image.estimated.isChecked()
-    said: list[str] = []
-    model.noticed.connect(lambda text, _: said.append(text))
-    dock.image.load_preset(tmp_path / "none.toml")
-    assert "can't be read" in said[-1]
 
 
 def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) -> None:
