@@ -34,6 +34,7 @@ from napari_pv_inspect.saver import Saver
 from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY
+from napari_pv_inspect.trial_keeper import TrialKeeper
 from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
 from pv_inspect.pipeline import Inspection
@@ -84,6 +85,7 @@ class Workbench(QObject):
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
+        self.trials = TrialKeeper(self.model, self.tuning)
         self.review = Reviewer(self.model, self.history)
         self.opener.may_leave = self._may_leave
         self._preview: Any = None
@@ -133,6 +135,7 @@ class Workbench(QObject):
         self._show_preview.cancel()
         self._fit_timer.stop()
         self.session.close()
+        self.trials.close()
         self.opener.close()
         self.saver.close()
         if self._drops is not None:
@@ -182,11 +185,13 @@ class Workbench(QObject):
 
     def _on_result(self, result: Result) -> None:
         self.session.resume(result)
+        self.trials.resume(result)
         self.fit_view()
 
     def _on_saved(self, inspection: Inspection, folder: Path) -> None:
         if inspection is self.model.inspection:
             self.session.attach(folder)
+            self.trials.attach(folder)
             self.review.saved(folder)
 
     def _on_sequence(self, _: object) -> None:
