@@ -58,18 +58,20 @@ class LayerSlot:
         self._visible_before_veil = None
         return layer
 
-    def redraw(self, data: NDArray[Any]) -> Layer:
+    def redraw(self, data: NDArray[Any], **attributes: Any) -> Layer:
         """Show ``data`` as `put` does, at a fraction of the cost where only numbers differ.
 
         Extent and thumbnail stay as they were: for what moves a little, under the hand.
         """
         layer = self.layer
-        if layer is None or self._visible_before_veil is not None:
-            return self.put(data)
-        if layer.data.shape != data.shape:
-            return self.put(data)
-        layer.data[...] = data
-        layer.refresh(thumbnail=False, highlight=False, extent=False)
+        if layer is None or self._visible_before_veil is not None or layer.data.shape != data.shape:
+            return self.put(data, **attributes)
+        # napari draws anew at each attribute: here once, at the end.
+        with layer.events.blocker_all():
+            layer.data[...] = data
+            for name, value in attributes.items():
+                setattr(layer, name, value)
+        layer.refresh(thumbnail=False, extent=False)
         return layer
 
     def veil(self) -> None:
