@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 __all__ = [
     "CONSISTENCY",
     "CONSISTENCY_LIMITS",
+    "CORRECTED",
+    "CORRECTED_RGB",
     "CRACKS",
     "CRACK_RGB",
     "EDITED_COLOUR",
@@ -28,6 +30,7 @@ __all__ = [
     "PREDICTED_COLOUR",
     "SUPPORT",
     "contrast_limits",
+    "corrected_colormap",
     "crack_colormap",
 ]
 
@@ -40,6 +43,7 @@ CONSISTENCY = "Contradictions"
 CONSISTENCY_LIMITS = (0.5, 3.0)
 """Residual of the frames, in units of the noise."""
 CRACKS = "Cracks"
+CORRECTED = "Corrected cracks"
 
 GRID_COLOUR = "#56B4E9"
 MEASURED_COLOUR = "#F0E442"
@@ -50,6 +54,8 @@ POINT_SYMBOLS = ("disc", "x", "diamond")
 POINT_SIZES = (6.0, 7.0, 9.0)
 """LR px."""
 CRACK_RGB = (1.0, 0.55, 0.0)
+CORRECTED_RGB = (0.8, 0.475, 0.655)
+"""Of marks that a person has drawn: the colour of edited things."""
 
 
 def crack_colormap() -> dict[str, Any]:
@@ -61,6 +67,12 @@ def crack_colormap() -> dict[str, Any]:
         "colors": np.array([clear, clear, half, full], dtype=np.float32),
         "controls": np.array([0.0, 0.15, 0.5, 1.0], dtype=np.float32),
     }
+
+
+def corrected_colormap() -> dict[str, Any]:
+    """Clear, and the colour of what a person has drawn."""
+    colours = np.array([(*CORRECTED_RGB, 0.0), (*CORRECTED_RGB, 1.0)], dtype=np.float32)
+    return {"name": "corrected cracks", "colors": colours}
 
 
 def contrast_limits(image: NDArray[Any]) -> tuple[float, float]:
