@@ -18,6 +18,7 @@ from napari_pv_inspect.drops import DropTaker
 from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.history import History
 from napari_pv_inspect.kappa_curve import KappaCurve
+from napari_pv_inspect.layers.corrections import CorrectionLayers
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
@@ -87,6 +88,7 @@ class Workbench(QObject):
         self.session = SessionKeeper(viewer, self.model, self.frames)
         self.trials = TrialKeeper(self.model, self.tuning)
         self.review = Reviewer(self.model, self.history)
+        self.corrections = CorrectionLayers(viewer, self.module, self.review.state)
         self.opener.may_leave = self._may_leave
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)

@@ -18,7 +18,7 @@ from napari_pv_inspect.docks.cell_bar import CellBar
 from napari_pv_inspect.docks.gallery_list import cell_text
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.panel_grid import PanelGrid
-from napari_pv_inspect.docks.panels import PaintPanel, Panel, SharedView
+from napari_pv_inspect.docks.panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.frame_panels import FramePanels, contours, frame_panels
 from napari_pv_inspect.review_model import ReviewModel
@@ -55,13 +55,15 @@ class CellDock(QWidget):
         self._bench = Workbench.of(napari_viewer)
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
+        self._found: tuple[object, Outlines] = (None, [])
         self._frame: FramePanels | None = None
         self._wanted: tuple[Subject, Cell] | None = None
         self._working = False
         self.shared = SharedView()
         move = (
             "Wheel: zoom; drag: move; double click: the whole cell; click, or its number: large. "
-            "All four move together."
+            "All four move together. Orange: marks of the detector; purple: corrected by you, and "
+            "dashed what the detector found there."
         )
         self.cell_panel = PaintPanel("Module image", move, self.shared)
         self.frame_panel = Panel("Best frame", move, self.shared, smooth=False)
@@ -214,12 +216,22 @@ class CellDock(QWidget):
 
     def _show_outlines(self) -> None:
         cell, opacity = self._cell, self.bar.opacity
-        mask = None
+        lines: Outlines = []
+        replaced: Outlines | None = None
         if cell is not None and opacity > 0:
-            mask = self._review.marks(cell) if self._stroke is None else self._stroke.mask
-        lines = [] if mask is None else contours(mask)
+            drawn = self._review.correction(cell) if self._stroke is None else self._stroke.mask
+            found = self._found_lines(cell)
+            lines, replaced = (found, None) if drawn is None else (contours(drawn), found)
         for panel in self.panels:
-            panel.show_outlines(lines, opacity)
+            panel.show_outlines(lines, opacity, replaced)
+
+    def _found_lines(self, cell: Cell) -> Outlines:
+        """Outlines of the detector's marks; found once, the brush asks for them all the time."""
+        key = self._review.subject, cell, self._review.threshold
+        if key != self._found[0]:
+            mask = self._review.found_marks(cell)
+            self._found = key, [] if mask is None else contours(mask)
+        return self._found[1]
 
     def _caption(self) -> None:
         cell = self._cell

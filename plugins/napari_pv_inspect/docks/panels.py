@@ -22,11 +22,12 @@ from qtpy.QtGui import (
 )
 from qtpy.QtWidgets import QApplication, QWidget
 
-from napari_pv_inspect.appearance import CRACK_RGB
+from napari_pv_inspect.appearance import CORRECTED_RGB, CRACK_RGB
 
-__all__ = ["PaintPanel", "Panel", "SharedView"]
+__all__ = ["Outlines", "PaintPanel", "Panel", "SharedView"]
 
 Pixels = NDArray[np.uint8]
+Outlines = list[NDArray[np.float64]]
 ZOOM_STEP = 1.2
 MAX_ZOOM = 40.0
 TITLE = 18
@@ -90,6 +91,8 @@ class Panel(QWidget):
         self.sentence = ""
         self._image: QImage | None = None
         self._outlines: list[QPolygonF] = []
+        self._faint: list[QPolygonF] = []
+        self._rgb = CRACK_RGB
         self._outline_opacity = 1.0
         self._dragged_from: QPointF | None = None
         self._pressed_at = QPointF()
@@ -108,9 +111,25 @@ class Panel(QWidget):
         self.sentence = sentence
         self.update()
 
-    def show_outlines(self, lines: list[NDArray[np.float64]], opacity: float) -> None:
-        """Draw lines, each (n, 2) as (x, y) in pixels of the picture, over it."""
-        self._outlines = [QPolygonF([QPointF(x, y) for x, y in line]) for line in lines]
+    def show_outlines(
+        self,
+        lines: Outlines,
+        opacity: float,
+        replaced: Outlines | None = None,
+    ) -> None:
+        """Draw outlines of marks over the picture.
+
+        Parameters
+        ----------
+        lines : list of (n, 2) float64
+            (x, y) in pixels of the picture.
+        opacity : float
+        replaced : list of (n, 2) float64, optional
+            What the detector found where a person has corrected it: dashed, the others in the
+            colour of edited things.
+        """
+        self._outlines, self._faint = _polygons(lines), _polygons(replaced or [])
+        self._rgb = CRACK_RGB if replaced is None else CORRECTED_RGB
         self._outline_opacity = opacity
         self.update()
 
@@ -194,14 +213,18 @@ class Panel(QWidget):
         self.view.reset()
 
     def _paint_over(self, painter: QPainter) -> None:
-        pen = QPen(QColor.fromRgbF(*CRACK_RGB), 1.5)
-        pen.setCosmetic(True)
-        painter.setPen(pen)
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setOpacity(self._outline_opacity)
-        for outline in self._outlines:
-            painter.drawPolygon(outline)
+        for outlines, rgb, width, style in (
+            (self._faint, CRACK_RGB, 1.0, Qt.PenStyle.DashLine),
+            (self._outlines, self._rgb, 1.5, Qt.PenStyle.SolidLine),
+        ):
+            pen = QPen(QColor.fromRgbF(*rgb), width, style)
+            pen.setCosmetic(True)
+            painter.setPen(pen)
+            for outline in outlines:
+                painter.drawPolygon(outline)
         painter.setOpacity(1.0)
 
     def _picture_area(self) -> QRectF:
@@ -293,6 +316,10 @@ class PaintPanel(Panel):
             painter.setPen(pen)
             radius = self.brush_px / 2
             painter.drawEllipse(self.to_picture().map(self._pointer), radius, radius)
+
+
+def _polygons(lines: Outlines) -> list[QPolygonF]:
+    return [QPolygonF([QPointF(x, y) for x, y in line]) for line in lines]
 
 
 def _image(picture: Pixels) -> QImage:
