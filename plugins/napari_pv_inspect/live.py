@@ -118,6 +118,7 @@ class LiveKappa:
         self._soon = QTimer()
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self._throttled)
+        self._lens = _lens(model.settings)
         model.settings_changed.connect(self._on_settings)
         model.inspection_changed.connect(self._on_inspection)
         viewer.dims.events.current_step.connect(self._on_step)
@@ -195,11 +196,20 @@ class LiveKappa:
         fitted = f"fit: kappa {kappa:+.4f}, {error}"
         self.residual_changed.emit(f"{what} {bent.rms_px:.2f} px ({fitted})")
 
-    def _on_settings(self, _: Settings) -> None:
-        self._throttled()
+    def _on_settings(self, settings: Settings) -> None:
+        lens = _lens(settings)
+        if lens != self._lens:
+            self._lens = lens
+            # The live cell may begin meanwhile.
+            self._soon.start(0)
 
     def _on_inspection(self, _: Inspection | None) -> None:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        self._throttled()
+        # Not within the event: it comes too while napari adds a layer, and it adds one at a time.
+        self._soon.start(0)
+
+
+def _lens(settings: Settings) -> tuple[object, ...]:
+    return settings.kappa, settings.focal_length_px, settings.calibration_file

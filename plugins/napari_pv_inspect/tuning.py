@@ -133,6 +133,13 @@ class Tuning:
                 )
             )
 
+    def take_in(self, trials: tuple[Trial, ...]) -> None:
+        """Go on from the trials of an earlier session."""
+        self.trials = trials[-DEPTH:]
+        self._count = max((trial.number for trial in trials), default=0)
+        self.current = self.previous = None
+        self.changed.emit()
+
     def pictured(self, picture: CellPicture) -> None:
         """Take in a picture of the live cell."""
         if picture.finished and picture.settings is not None:

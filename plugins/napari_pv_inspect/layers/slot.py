@@ -43,7 +43,9 @@ class LayerSlot:
         if layer is None:
             selected = self._viewer.layers.selection.active
             layer = self._kind(data, **{**self._appearance, **attributes})
-            self._layer = self._viewer.add_layer(layer)
+            # Known before it is added: adding moves the time slider, whose followers may put again.
+            self._layer = layer
+            self._viewer.add_layer(layer)
             # A new layer of ours takes the user's tools away from what they were on.
             if selected is not None and selected in self._viewer.layers:
                 self._viewer.layers.selection.active = selected
