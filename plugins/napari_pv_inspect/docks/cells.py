@@ -301,6 +301,7 @@ def _combo(entries: dict[str, object], tip: str) -> QComboBox:
     # As narrow as it has to be beside the live cell.
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     combo.setMinimumContentsLength(9)
+    combo.setMinimumWidth(82)
     combo.setToolTip(tip)
     return combo
 
@@ -309,7 +310,7 @@ def _slider(percent: int, tip: str) -> QSlider:
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, 100)
     slider.setValue(percent)
-    slider.setMinimumWidth(45)
+    slider.setMinimumWidth(30)
     slider.setMaximumWidth(90)
     slider.setToolTip(tip)
     return slider

@@ -33,6 +33,8 @@ class SideBox(QComboBox):
         self.setIconSize(QSize(ICON, ICON))
         self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.setMinimumContentsLength(8)
+        # The live cell has to fit into 1280 px, with the controls and the gallery beside it.
+        self.setMinimumWidth(84)
 
     @property
     def choice(self) -> Source | int:
