@@ -54,7 +54,11 @@ def in_turn() -> Iterator[None]:
 
 def _may_be_shared() -> bool:
     """Whether compiled code may be entered from several threads: numba's own pool forbids it."""
-    with _turn:
-        # The layer is known only once parallel code has run.
-        dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
-        return bool(threading_layer() != "workqueue")  # type: ignore[no-untyped-call]
+    try:
+        layer = threading_layer()  # type: ignore[no-untyped-call]
+    except ValueError:
+        # It is known only once parallel code has run.
+        with _turn:
+            dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+        layer = threading_layer()  # type: ignore[no-untyped-call]
+    return bool(layer != "workqueue")
