@@ -20,6 +20,7 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QWidget
 from workbench_window import Heartbeat, Times, opened, settle
 
+from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.model import RunState
 from pv_inspect.review import VerdictKind
 
@@ -57,7 +58,7 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         _judge(bench, cells, heart, times, options.keys)
         cells.open_cell()
         settle(2.0)
-        view = viewer.window.dock_widgets["Cell"]
+        view = large_cell(bench).view
         painted = Paints(view.cell_panel)
         for _ in range(options.keys):
             _focus(view)

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 __all__ = [
     "CONSISTENCY",
     "CONSISTENCY_LIMITS",
+    "CORRECTED",
+    "CORRECTED_RGB",
     "CRACKS",
     "CRACK_RGB",
     "EDITED_COLOUR",
@@ -31,6 +33,7 @@ __all__ = [
     "PRIMARY_HOVER_COLOUR",
     "SUPPORT",
     "contrast_limits",
+    "corrected_colormap",
     "crack_colormap",
 ]
 
@@ -43,6 +46,7 @@ CONSISTENCY = "Contradictions"
 CONSISTENCY_LIMITS = (0.5, 3.0)
 """Residual of the frames, in units of the noise."""
 CRACKS = "Cracks"
+CORRECTED = "Corrected cracks"
 
 GRID_COLOUR = "#56B4E9"
 MEASURED_COLOUR = "#F0E442"
@@ -57,6 +61,8 @@ PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR = "#0072B2", "#1A86C4"
 """Of the button for what comes next, behind white letters."""
 FOCUS_COLOUR = "#F0E442"
 """Of the border around what the keyboard acts on."""
+CORRECTED_RGB = (0.8, 0.475, 0.655)
+"""Of marks that a person has drawn: the colour of edited things."""
 
 
 def crack_colormap() -> dict[str, Any]:
@@ -68,6 +74,12 @@ def crack_colormap() -> dict[str, Any]:
         "colors": np.array([clear, clear, half, full], dtype=np.float32),
         "controls": np.array([0.0, 0.15, 0.5, 1.0], dtype=np.float32),
     }
+
+
+def corrected_colormap() -> dict[str, Any]:
+    """Clear, and the colour of what a person has drawn."""
+    colours = np.array([(*CORRECTED_RGB, 0.0), (*CORRECTED_RGB, 1.0)], dtype=np.float32)
+    return {"name": "corrected cracks", "colors": colours}
 
 
 def contrast_limits(image: NDArray[Any]) -> tuple[float, float]:

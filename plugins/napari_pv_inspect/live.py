@@ -26,10 +26,8 @@ from pv_inspect.settings import Settings
 
 __all__ = ["BentFrame", "LiveKappa", "bend_frame"]
 
-# A repaint costs up to 100 ms without a graphics card.
-THROTTLE_MS = 80
-# A point that is dragged is repainted anyway, at the pace of the mouse.
-HELD_MS = 30
+# A fit of one frame and its repaint cost up to 50 ms without a graphics card.
+THROTTLE_MS = 50
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,6 @@ class LiveKappa:
         self._held: dict[int, Point] = {}
         self.held_rms_px: float | None = None
         self._throttled = qthrottled(self.update, timeout=THROTTLE_MS)
-        self._follow = qthrottled(self.update, timeout=HELD_MS)
         # After an edit the window may answer between the points and the grid.
         self._soon = QTimer()
         self._soon.setSingleShot(True)
@@ -130,7 +127,6 @@ class LiveKappa:
         """Let go of the viewer."""
         self._soon.stop()
         self._throttled.cancel()
-        self._follow.cancel()
         self._viewer.dims.events.current_step.disconnect(self._on_step)
 
     @property
@@ -150,10 +146,9 @@ class LiveKappa:
         """
         self._held = points if frame == self._frames.frame else {}
         if self._held:
-            self._follow()
+            self._throttled()
         else:
             # The edit that follows, or the way back, is drawn when it is entered.
-            self._follow.cancel()
             self.held_rms_px = None
             self._soon.start(0)
 
@@ -212,7 +207,8 @@ class LiveKappa:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        self._throttled()
+        # Not within the event: it comes too while napari adds a layer, and it adds one at a time.
+        self._soon.start(0)
 
 
 def _lens(settings: Settings) -> tuple[object, ...]:

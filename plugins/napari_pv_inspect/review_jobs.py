@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from napari_pv_inspect.review_subject import Mask, Subject
 from pv_inspect.cracks import CellFeatures
@@ -16,7 +17,6 @@ from pv_inspect.review import (
     ReviewState,
     ReviewStore,
     Verdict,
-    of_rater,
 )
 
 __all__ = [
@@ -24,13 +24,13 @@ __all__ = [
     "Edit",
     "Loaded",
     "Stepped",
+    "TakeOver",
+    "Unstored",
     "load",
     "step",
     "step_back",
     "store_marks",
-    "store_verdict",
-    "take_marks",
-    "take_verdict",
+    "store_saying",
 ]
 
 
@@ -84,6 +84,7 @@ class Loaded:
 
     rater: str
     verdicts: tuple[Verdict, ...]
+    notes: Mapping[Cell, str]
     masks: Mapping[Cell, Mask]
     module_data: ModuleData
     state: ReviewState | None
@@ -99,8 +100,8 @@ class Stepped:
 
 def load(store: ReviewStore, rater: str) -> Loaded:
     """Read all that a store holds."""
-    masks, data, state = store.masks(rater), store.module_data(), store.remembered(rater)
-    return Loaded(rater, store.current(), masks, data, state)
+    verdicts, notes, masks = store.current(), store.waiting_notes(rater), store.masks(rater)
+    return Loaded(rater, verdicts, notes, masks, store.module_data(), store.remembered(rater))
 
 
 def step(store: ReviewStore, way: str, subject: Subject | None, edit: Edit) -> Stepped | None:
@@ -129,12 +130,14 @@ def _stepped(
     return Stepped(change, Corrected.of(subject, change.cell, mask))
 
 
-def store_verdict(store: ReviewStore, edit: Edit, verdict: Verdict | None) -> None:
-    """Store a verdict; None withdraws it."""
-    if verdict is None:
+def store_saying(store: ReviewStore, edit: Edit, verdict: Verdict | None, note: str) -> None:
+    """Store a verdict with its note; without one the note waits, and the cell is not judged."""
+    if verdict is not None:
+        edit.number = store.give(verdict)
+    elif any(v.cell == edit.cell and v.rater == edit.rater for v in store.current()):
         edit.number = store.withdraw(edit.cell, edit.rater)
     else:
-        edit.number = store.give(verdict)
+        edit.number = store.note(edit.cell, edit.rater, note)
 
 
 def store_marks(
@@ -149,21 +152,58 @@ def store_marks(
     return corrected
 
 
-def take_verdict(verdict: Verdict) -> Callable[[ReviewStore], None]:
-    """Job that takes a verdict over from another store, unless this one knows better."""
+@dataclass(frozen=True, eq=False)
+class Unstored:
+    """What a rater said about a cell, while it could not be stored."""
 
-    def give(store: ReviewStore) -> None:
-        if verdict.cell not in of_rater(store.current(), verdict.rater):
-            store.give(verdict)
+    rater: str
+    cell: Cell
+    verdict: Verdict | None
+    note: str
+    corrected: Corrected | None
 
-    return give
+    def store(self, store: ReviewStore) -> None:
+        """Store it as the newest that is said."""
+        store_saying(store, Edit(self.rater, self.cell), self.verdict, self.note)
+        if self.corrected is not None:
+            self.corrected.store(store, self.cell, self.rater)
+        elif store.mask(self.cell, self.rater) is not None:
+            store.correct(self.cell, self.rater, None)
 
 
-def take_marks(cell: Cell, corrected: Corrected, rater: str) -> Callable[[ReviewStore], None]:
-    """Job that takes marks over from another store, unless this one knows better."""
+class TakeOver:
+    """Job that takes over the review of another folder, and what did not get as far as that.
 
-    def correct(store: ReviewStore) -> None:
-        if store.mask(cell, rater) is None:
-            corrected.store(store, cell, rater)
+    What the folder says already stays. Returns a sentence about that, or about the other folder if
+    it can't be read any more.
+    """
 
-    return correct
+    def __init__(self, old: Path, unstored: Sequence[Unstored]) -> None:
+        self._old, self._unstored = old, unstored
+        self._here: set[tuple[str, Cell]] | None = None
+
+    def __call__(self, store: ReviewStore) -> str:
+        """Do it; it may be done again if it fails."""
+        if self._here is None:
+            self._here = {(v.rater, v.cell) for v in store.current()}
+        differ: set[tuple[str, Cell]] = set()
+        sentences = []
+        try:
+            with ReviewStore(self._old) as other:
+                contents = other.contents()
+        except InspectionError as error:
+            sentences.append(f"The review was not taken along: {error}")
+        else:
+            differ |= {place for place in store.merge(contents) if place in self._here}
+        for entry in self._unstored:
+            if (entry.rater, entry.cell) in self._here:
+                differ.add((entry.rater, entry.cell))
+            else:
+                entry.store(store)
+        if differ:
+            cells = "1 cell" if len(differ) == 1 else f"{len(differ)} cells"
+            sentences.append(
+                f"{store.path.parent} says something else about {cells} already: that stays, and "
+                f"what was said here is still in {self._old}."
+            )
+        return " ".join(sentences)

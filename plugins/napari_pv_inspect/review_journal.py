@@ -91,11 +91,15 @@ class Journal:
             self._line.append(_Entry(job, done))
             self._changed.notify_all()
 
-    def later(self, job: Job, done: Done) -> None:
-        """Have something done when there is nothing to store; at the end it is dropped."""
+    def later(self, job: Callable[[], Any], done: Done) -> None:
+        """Have something done when there is nothing to store; at the end it is dropped.
+
+        It is done without a folder too.
+        """
         with self._changed:
-            self._idle.append(_Entry(job, done))
+            self._idle.append(_Entry(lambda _: job(), done))
             self._changed.notify_all()
+        self._begin()
 
     def attach(self, folder: Path, first: Job, done: Done) -> None:
         """Begin to store into a folder; ``first`` goes before all that waits.
@@ -104,11 +108,11 @@ class Journal:
         """
         if self.folder is not None:
             return
-        self.folder = folder
         with self._changed:
+            self.folder = folder
             self._line.appendleft(_Entry(first, done))
-        self._thread = Thread(target=self._work, name="pv-inspect review", daemon=True)
-        self._thread.start()
+            self._changed.notify_all()
+        self._begin()
 
     def collect(self) -> None:
         """Report what happened since the last time."""
@@ -117,7 +121,7 @@ class Journal:
 
     def wait(self, timeout_s: float) -> bool:
         """Try what failed again now and wait; returns whether everything is stored."""
-        if self._thread is None:
+        if self.folder is None:
             return not self._line
         with self._changed:
             self._hurry = True
@@ -131,11 +135,21 @@ class Journal:
             self._giving_up = give_up
             self._changed.notify_all()
 
+    def _begin(self) -> None:
+        if self._thread is None:
+            self._thread = Thread(target=self._work, name="pv-inspect review", daemon=True)
+            self._thread.start()
+
     def _work(self) -> None:
-        assert self.folder is not None
-        with self._open_store(self.folder) as store:
+        store: ReviewStore | None = None
+        try:
             while (entry := self._next()) is not None:
+                if store is None and self.folder is not None:
+                    store = self._open_store(self.folder)
                 self._try(store, entry)
+        finally:
+            if store is not None:
+                store.close()
 
     def _next(self) -> _Entry | None:
         """Wait for something to do; None: it is time to end."""
@@ -144,17 +158,19 @@ class Journal:
                 self._changed.wait_for(lambda: self._hurry, self._retry_s)
                 self._hurry = False
             else:
-                self._changed.wait_for(self._has_work, self._poll_s)
-            if self._closing and (not self._line or (self._failing and self._giving_up)):
+                poll_s = None if self.folder is None else self._poll_s
+                self._changed.wait_for(self._has_work, poll_s)
+            line = self._line if self.folder is not None else ()
+            if self._closing and (not line or (self._failing and self._giving_up)):
                 return None
-            if self._line:
-                return self._line[0]
+            if line:
+                return line[0]
             return self._idle.popleft() if self._idle else self._watch
 
     def _has_work(self) -> bool:
-        return bool(self._line or self._idle or self._closing)
+        return bool((self._line and self.folder) or self._idle or self._closing)
 
-    def _try(self, store: ReviewStore, entry: _Entry) -> None:
+    def _try(self, store: Any, entry: _Entry) -> None:
         try:
             value = entry.job(store)
         except Exception as error:  # the thread must live on: what waits is not lost

@@ -111,6 +111,7 @@ class Reviewer(QObject):
 
     def may_leave(self, window: QWidget | None) -> bool:
         """Whether another module may come; the user decides if something can't be stored yet."""
+        self.state.flush_wanted.emit()
         if self.state.folder is not None or not self.state.pending:
             return True
         self._try_again(window)
@@ -119,6 +120,7 @@ class Reviewer(QObject):
     def may_close(self, window: QWidget | None) -> bool:
         """Wait until everything is stored; if that can't be, the user decides."""
         self._remembering.stop()
+        self.state.flush_wanted.emit()
         while self.state.pending and not self.state.wait(PATIENCE_S):
             if not self._try_again(window):
                 break

@@ -30,6 +30,7 @@ class SessionKeeper(QObject):
     """
 
     page_restored = Signal(str)
+    page_turned = Signal(str)
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel, frames: FramesLayer) -> None:
         super().__init__()
@@ -89,6 +90,7 @@ class SessionKeeper(QObject):
         """Note which page of the controls is open."""
         self.page = page
         self._later()
+        self.page_turned.emit(page)
 
     def write(self) -> None:
         """Write now."""

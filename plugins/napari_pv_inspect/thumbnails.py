@@ -1,4 +1,4 @@
-"""Small pictures of the cells for the gallery: one contrast for all, cracks in orange. No Qt."""
+"""Small pictures of the cells for the gallery, in one contrast for all, with their marks. No Qt."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_pv_inspect.appearance import CRACK_RGB, contrast_limits
+from napari_pv_inspect.appearance import CORRECTED_RGB, CRACK_RGB, contrast_limits
 from napari_pv_inspect.review_subject import Mask, Subject
 from pv_inspect.review import Cell
 
@@ -50,15 +50,15 @@ class Thumbnails:
         opacity : float
             Of the paint, 0 to 1.
         mask : (h, w) bool, optional
-            Corrected marks, painted instead.
+            Corrected marks, painted instead in the colour of edited things.
         """
         grey, probability = self._small(cell)
         if mask is not None and mask.shape == self._subject.tiles.images.shape[2:]:
-            painted = self._peaks(mask.astype(np.float32)) > 0
+            painted, rgb = self._peaks(mask.astype(np.float32)) > 0, CORRECTED_RGB
         else:
-            painted = probability >= threshold
+            painted, rgb = probability >= threshold, CRACK_RGB
         picture = np.repeat(grey[..., None], 3, axis=-1)
-        colour = np.array(CRACK_RGB, dtype=np.float32)
+        colour = np.array(rgb, dtype=np.float32)
         picture[painted] = (1 - opacity) * picture[painted] + opacity * colour
         return np.asarray(np.round(picture * 255), dtype=np.uint8)
 

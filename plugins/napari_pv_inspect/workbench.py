@@ -10,6 +10,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.utils.notifications import show_error
+from psygnal import Signal
 from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from superqt.utils import qthrottled
 
@@ -17,6 +18,7 @@ from napari_pv_inspect.drops import DropTaker
 from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.history import History
 from napari_pv_inspect.kappa_curve import KappaCurve
+from napari_pv_inspect.layers.corrections import CorrectionLayers
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.layers.module import ModuleLayers
@@ -46,6 +48,8 @@ PREVIEW_MS = 300
 
 class Workbench(QObject):
     """Everything of pv-inspect that belongs to one viewer, except the docks that show it."""
+
+    closing = Signal()
 
     _of_viewer: ClassVar[WeakKeyDictionary[Any, Workbench]] = WeakKeyDictionary()
 
@@ -84,15 +88,18 @@ class Workbench(QObject):
         self.session = SessionKeeper(viewer, self.model, self.frames)
         self.trials = TrialKeeper(self.model, self.tuning)
         self.review = Reviewer(self.model, self.history)
+        self.corrections = CorrectionLayers(viewer, self.module, self.review.state)
         self.opener.may_leave = self._may_leave
         self._preview: Any = None
         self._show_preview = qthrottled(self._draw_preview, timeout=PREVIEW_MS)
         self.model.preview_changed.connect(self._on_preview)
         self.model.noticed.connect(self._on_notice)
         self.model.sequence_changed.connect(self._on_sequence)
-        viewer.layers.events.inserted.connect(self._on_inserted)
+        # Last: adopting may take another layer away, which napari's list has to be ready for.
+        viewer.layers.events.inserted.connect(self._on_inserted, position="last")
         window = getattr(viewer, "window", None)
         self._main_window = getattr(window, "_qt_window", None)
+        self._refused = False
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
@@ -108,6 +115,8 @@ class Workbench(QObject):
             )
             self._drops = DropTaker(self._main_window._qt_viewer, self.open)
             self._main_window.installEventFilter(self)
+            # `viewer.close()` closes the canvas first: without it no question can be asked.
+            self._main_window._qt_viewer.installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
             self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
@@ -122,6 +131,7 @@ class Workbench(QObject):
         """Stop a run and let go of the viewer; called when its window closes."""
         if self.viewer not in self._of_viewer:
             return
+        self.closing.emit()
         del self._of_viewer[self.viewer]
         self.runs.shutdown()
         self._show_preview.cancel()
@@ -143,18 +153,26 @@ class Workbench(QObject):
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
+            self._main_window._qt_viewer.removeEventFilter(self)
             if self.shortcuts is not None:
                 self.shortcuts.close()
             self._main_window = None
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Close with the window, and before it."""
-        if watched is self._main_window and event.type() == QEvent.Type.Close:
-            if not self.review.may_close(self._main_window):
-                event.ignore()
-                return True
+        if event.type() != QEvent.Type.Close or self._main_window is None:
+            return False
+        canvas = self._main_window._qt_viewer
+        if watched not in (self._main_window, canvas):
+            return False
+        # napari closes the window right after the canvas: the user is not asked twice.
+        refused, self._refused = self._refused, False
+        if not refused and self.review.may_close(self._main_window):
             self.close()
-        return False
+            return False
+        self._refused = watched is canvas
+        event.ignore()
+        return True
 
     def fit_view(self) -> None:
         """Show everything, once docks that come or go have settled."""

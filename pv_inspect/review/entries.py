@@ -57,6 +57,8 @@ class Entry:
         The verdict from then on; None if there is none.
     corrected : bool
         Whether there is a corrected crack mask from then on.
+    note : str
+        Note that waits for a verdict from then on.
     """
 
     number: int
@@ -66,6 +68,7 @@ class Entry:
     cell: Cell
     verdict: Verdict | None
     corrected: bool
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -82,12 +85,15 @@ class Change:
         Whether the corrected crack mask is another one now.
     superseded : bool
         Nothing was changed: what the edit said had been replaced by something newer.
+    note : str
+        Note that waits for a verdict now.
     """
 
     cell: Cell
     verdict: Verdict | None
     mask_changed: bool
     superseded: bool = False
+    note: str = ""
 
 
 def entry_from(line: tuple[Any, ...]) -> Entry:
@@ -102,7 +108,10 @@ def entry_from(line: tuple[Any, ...]) -> Entry:
     content = dict(zip(CONTENT, rest, strict=True))
     corrected = content.pop("mask") is not None
     kind = content.pop("kind")
-    verdict = None if kind is None else Verdict(row, col, VerdictKind(kind), rater, **content)
+    if kind is None:
+        note = content["note"] or ""
+        return Entry(number, action, stored, rater, (row, col), None, corrected, note)
+    verdict = Verdict(row, col, VerdictKind(kind), rater, **content)
     return Entry(number, action, stored, rater, (row, col), verdict, corrected)
 
 

@@ -28,6 +28,7 @@ from pv_inspect.review.entries import (
     stacks,
     stepped,
 )
+from pv_inspect.review.merging import Contents, contents, merge
 from pv_inspect.review.schema import damaged, failure, opened
 from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
 
@@ -115,7 +116,7 @@ class ReviewStore:
             return append(connection, "edit", None, verdict.rater, verdict.cell, content)
 
     def withdraw(self, cell: Cell, rater: str) -> int:
-        """Take a verdict back: the cell is not judged any more. A corrected mask stays.
+        """Take a verdict back: the cell is not judged any more. Mask and note stay.
 
         Returns
         -------
@@ -125,7 +126,20 @@ class ReviewStore:
         check_entry(cell, rater)
         with self._writing() as connection:
             content = latest(connection, rater, cell)
-            content |= dict.fromkeys(("kind", "note", "time", "settings", "software"))
+            content |= dict.fromkeys(("kind", "time", "settings", "software"))
+            return append(connection, "edit", None, rater, cell, content)
+
+    def note(self, cell: Cell, rater: str, text: str) -> int:
+        """Store a note that waits for a verdict, or change that of a verdict.
+
+        Returns
+        -------
+        int
+            Number of the edit.
+        """
+        check_entry(cell, rater)
+        with self._writing() as connection:
+            content = latest(connection, rater, cell) | {"note": text}
             return append(connection, "edit", None, rater, cell, content)
 
     def correct(
@@ -205,6 +219,18 @@ class ReviewStore:
         entries = [self._entry(line) for line in lines]
         return tuple(entry.verdict for entry in entries if entry.verdict is not None)
 
+    def waiting_notes(self, rater: str) -> dict[Cell, str]:
+        """Notes of a rater about cells that the rater has not judged."""
+        with self._reading() as connection:
+            if connection is None:
+                return {}
+            lines = connection.execute(
+                "SELECT \"row\", col, note FROM history WHERE kind IS NULL AND note <> '' "
+                'AND id IN (SELECT max(id) FROM history WHERE rater = ? GROUP BY "row", col)',
+                (rater,),
+            ).fetchall()
+        return {(int(row), int(col)): str(note) for row, col, note in lines}
+
     def history(self) -> tuple[Entry, ...]:
         """All that was ever stored about cells, the oldest first."""
         with self._reading() as connection:
@@ -245,6 +271,28 @@ class ReviewStore:
                 (rater,),
             ).fetchall()
         return {(int(row), int(col)): self._mask(png) for row, col, png in lines}
+
+    def contents(self) -> Contents:
+        """All that is stored, as it is at one moment; for `merge`."""
+        with self._reading() as connection:
+            if connection is None:
+                return Contents()
+            connection.execute("BEGIN")
+            try:
+                return contents(connection)
+            finally:
+                connection.execute("ROLLBACK")
+
+    def merge(self, other: Contents) -> tuple[tuple[str, Cell], ...]:
+        """Take over what another store holds, with its history; what is said here stays.
+
+        Returns
+        -------
+        tuple of (rater, cell)
+            Where both say something, and not the same.
+        """
+        with self._writing() as connection:
+            return merge(connection, other)
 
     def describe(self, data: ModuleData) -> None:
         """Store what is known about the module; what was stored before is kept as history."""
@@ -328,7 +376,8 @@ class ReviewStore:
                 (rater, *cell),
             ).fetchone()
         mask_changed = after is not None and before["mask"] != after["mask"]
-        return Change(cell, self._entry(found).verdict, mask_changed, after is None)
+        entry = self._entry(found)
+        return Change(cell, entry.verdict, mask_changed, after is None, entry.note)
 
     def _exists(self) -> bool:
         try:

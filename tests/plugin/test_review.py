@@ -17,6 +17,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
 
 from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
 from napari_pv_inspect.docks.gallery_list import cell_text
+from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.frame_panels import best_frame, contours
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
@@ -86,13 +87,13 @@ def test_a_key_in_the_gallery_stores_the_verdict_and_goes_on(
 
 
 def test_all_keys_of_the_review_are_in_the_help(saved: Any) -> None:
-    viewer, dock, cells = saved
+    _, dock, cells = saved
     cells.open_cell()
     keys = {(key.sequence, key.group) for key in dock.bench.shortcuts.keys}
     for kind in VerdictKind:
         assert (kind.key.upper(), "Gallery") in keys
         assert (kind.key.upper(), "Cell view") in keys
-    assert len(viewer.window.dock_widgets) == 3
+    assert large_cell(dock.bench).is_open
 
 
 def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
@@ -238,17 +239,17 @@ def test_verdicts_come_back_with_a_result_folder(
     stored(dock, qtbot)
     assert dock.verdict.buttons[VerdictKind.CRACK_B].isChecked()
     cells.open_cell()
-    view = viewer.window.dock_widgets["Cell"]
+    view = large_cell(dock.bench).view
     assert view.frame_panel.sentence == view.bicubic_panel.sentence == NO_FRAMES
 
 
 @pytest.fixture
 def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
     """Controls and cell view at the cell in row 2, column 2."""
-    viewer, dock, cells = saved
+    _, dock, cells = saved
     dock.bench.model.select_cell((1, 1))
     cells.open_cell()
-    view = viewer.window.dock_widgets["Cell"]
+    view = large_cell(dock.bench).view
     qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
     return dock, view
 
@@ -300,7 +301,7 @@ def test_all_pictures_zoom_and_move_together(large: Any) -> None:
     QTest.mouseMove(panel, start + QPoint(10, 0))
     QTest.mouseRelease(panel, LEFT, NONE, start + QPoint(10, 0))
     assert view.shared.x < 0.5
-    shown = [p.to_picture().map(QPointF(p.rect().center())) for p in view.panels]
+    shown = [p.to_picture().map(p._picture_area().center()) for p in view.panels]
     for other in shown[1:]:
         assert (other.x(), other.y()) == pytest.approx((shown[0].x(), shown[0].y()), abs=0.5)
 
@@ -399,7 +400,7 @@ def test_outlines_enclose_their_pixels() -> None:
 def test_opening_the_result_again_goes_on_with_its_frames(
     saved: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
-    viewer, dock, cells = saved
+    _, dock, cells = saved
     model, state = dock.bench.model, dock.bench.review.state
     before = model.inspection
     model.select_cell((1, 1))
@@ -411,7 +412,7 @@ def test_opening_the_result_again_goes_on_with_its_frames(
     assert state.folder == (tmp_path / "out").resolve()
     model.select_cell((1, 1))
     cells.open_cell()
-    view = viewer.window.dock_widgets["Cell"]
+    view = large_cell(dock.bench).view
     qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
     stored(dock, qtbot)
 

@@ -281,10 +281,12 @@ def test_leaving_a_module_stores_what_is_pending(
 def test_what_has_time_waits_for_what_has_to_be_stored(tmp_path: Path) -> None:
     seen: list[str] = []
     journal = Journal(lambda _: None, lambda _: None, lambda _: None, poll_s=0.01)
-    journal.later(lambda _: seen.append("later"), lambda _: None)
+    go_on = Event()
+    journal.attach(tmp_path, lambda _: go_on.wait(5), lambda _: None)
+    journal.later(lambda: seen.append("later"), lambda _: None)
     journal.submit(lambda _: seen.append("stored"), lambda _: None)
-    assert journal.pending == 1
-    journal.attach(tmp_path, lambda _: None, lambda _: None)
+    assert journal.pending == 2
+    go_on.set()
     assert journal.wait(5)
     end = monotonic() + 5
     while len(seen) < 2 and monotonic() < end:

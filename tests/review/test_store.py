@@ -478,3 +478,70 @@ def test_an_undo_does_not_take_away_what_was_said_later(tmp_path: Path) -> None:
         assert store.current() == ()
         assert store.redo("Ann", second).superseded  # type: ignore[union-attr]
         assert store.current() == ()
+
+
+def test_a_note_waits_for_its_verdict_and_comes_back_when_that_is_undone(tmp_path: Path) -> None:
+    with ReviewStore(tmp_path) as store:
+        store.note((1, 2), "Ada", "dark corner")
+        assert store.waiting_notes("Ada") == {(1, 2): "dark corner"}
+        assert store.waiting_notes("Ben") == {}
+        assert store.current() == ()
+        store.give(Verdict(1, 2, VerdictKind.CRACK_A, "Ada", "dark corner"))
+        assert store.waiting_notes("Ada") == {}
+        change = store.undo("Ada")
+        assert change is not None
+        assert (change.verdict, change.note) == (None, "dark corner")
+        assert store.waiting_notes("Ada") == {(1, 2): "dark corner"}
+        store.redo("Ada")
+        store.withdraw((1, 2), "Ada")
+        assert store.waiting_notes("Ada") == {(1, 2): "dark corner"}
+        assert store.history()[-1].note == "dark corner"
+
+
+def test_another_review_is_taken_over_whole_and_replaces_nothing(tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.mkdir()
+    new.mkdir()
+    mask = np.eye(20, 30, dtype=bool)
+    kinds = VerdictKind.OK, VerdictKind.CRACK_B
+    with ReviewStore(old) as source, ReviewStore(new) as target:
+        for rater, kind in zip(("Ada", "Ben"), kinds, strict=True):
+            source.give(Verdict(0, 0, kind, rater, "old"))
+            source.correct((0, 1), rater, mask, 1.25, 0.5)
+            source.note((2, 2), rater, "typed")
+        source.undo("Ben")
+        source.redo("Ben")
+        source.describe(ModuleData("S1", 8.5))
+        source.remember(ReviewState("Ben", 1, 1))
+        target.give(Verdict(0, 0, VerdictKind.CRACK_C, "Ada", "new"))
+        target.give(Verdict(3, 3, VerdictKind.OK, "Eve"))
+        before = source.history()
+        assert target.merge(source.contents()) == (("Ada", (0, 0)),)
+        assert {(v.rater, v.cell): (v.kind, v.note) for v in target.current()} == {
+            ("Ada", (0, 0)): (VerdictKind.CRACK_C, "new"),
+            ("Ben", (0, 0)): (VerdictKind.CRACK_B, "old"),
+            ("Eve", (3, 3)): (VerdictKind.OK, ""),
+        }
+        for rater in ("Ada", "Ben"):
+            np.testing.assert_array_equal(target.mask((0, 1), rater), mask)
+            assert target.waiting_notes(rater) == {(2, 2): "typed"}
+        assert target.module_data() == ModuleData("S1", 8.5)
+        assert target.remembered("Ben") == ReviewState("Ben", 1, 1)
+        assert source.history() == before
+        of_ben = [(e.action, e.stored) for e in before if e.rater == "Ben"]
+        assert [(e.action, e.stored) for e in target.history() if e.rater == "Ben"] == of_ben
+        n_lines = len(target.history())
+        target.merge(source.contents())
+        assert len(target.history()) == n_lines, "taken over once"
+        change = target.undo("Ben")
+        assert change is not None
+        assert (change.cell, change.note) == ((2, 2), ""), "the history can be undone here too"
+
+
+def test_an_empty_review_and_the_same_folder_are_nothing_to_take_over(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with ReviewStore(tmp_path) as store, ReviewStore(tmp_path / "empty") as empty:
+        store.give(Verdict(0, 0, VerdictKind.OK, "Ada"))
+        assert store.merge(empty.contents()) == ()
+        assert store.merge(ReviewStore(tmp_path).contents()) == ()
+        assert len(store.history()) == 1

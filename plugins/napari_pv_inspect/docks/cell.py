@@ -1,4 +1,4 @@
-"""The dock *Cell*: one cell large, beside its best frame, the bicubic and the support map."""
+"""One cell large, beside its best frame, the bicubic and the support map; also as a dock."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ import cv2
 import numpy as np
 from napari.components import ViewerModel
 from napari.qt.threading import create_worker
-from qtpy.QtCore import QSignalBlocker, Qt
-from qtpy.QtWidgets import QDockWidget, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from qtpy.QtCore import Qt, Signal
+from qtpy.QtWidgets import QDockWidget, QLabel, QVBoxLayout, QWidget
 
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.docks.cell_bar import CellBar
 from napari_pv_inspect.docks.gallery_list import cell_text
 from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.panels import PaintPanel, Panel, SharedView
+from napari_pv_inspect.docks.panel_grid import PanelGrid
+from napari_pv_inspect.docks.panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.frame_panels import FramePanels, contours, frame_panels
 from napari_pv_inspect.review_model import ReviewModel
@@ -29,9 +30,9 @@ from pv_inspect.pictures import grey
 from pv_inspect.pipeline import Inspection
 from pv_inspect.review import Cell
 
-__all__ = ["CellDock", "open_cell_dock", "raise_dock"]
+__all__ = ["CellDock", "dock_of", "focus_gallery"]
 
-LEAST_HEIGHT = 380
+GALLERY = "Cells"
 NO_FRAMES = "No frames are open: this result folder is looked at without its sequence."
 
 
@@ -46,18 +47,26 @@ class _Stroke:
 class CellDock(QWidget):
     """Four pictures of the selected cell that zoom and move together; its marks are corrected."""
 
+    back_wanted = Signal()
+    gallery_wanted = Signal()
+
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
+        self._found: tuple[object, Outlines] = (None, [])
         self._frame: FramePanels | None = None
         self._wanted: tuple[Subject, Cell] | None = None
         self._working = False
         self.shared = SharedView()
-        move = "Wheel: zoom; drag: move; double click: the whole cell. All four move together."
+        move = (
+            "Wheel: zoom; drag: move; double click: the whole cell; click, or its number: large. "
+            "All four move together. Orange: marks of the detector; purple: corrected by you, and "
+            "dashed what the detector found there."
+        )
         self.cell_panel = PaintPanel("Module image", move, self.shared)
-        self.frame_panel = Panel("Best frame", move, self.shared)
+        self.frame_panel = Panel("Best frame", move, self.shared, smooth=False)
         self.bicubic_panel = Panel("Bicubic", move, self.shared)
         self.support_panel = Panel(
             "Support",
@@ -71,21 +80,23 @@ class CellDock(QWidget):
             self.support_panel,
         )
         self.bar = CellBar()
+        self.grid = PanelGrid(self.panels)
         self.caption = QLabel("No cell is selected.")
-        self.caption.setMinimumWidth(1)
-        row = QHBoxLayout()
-        row.setSpacing(3)
-        for panel in self.panels:
-            panel.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
-            row.addWidget(panel, 1)
+        self.caption.setWordWrap(True)
+        self.caption.setAlignment(Qt.AlignmentFlag.AlignTop)
+        # The pictures keep their size from cell to cell.
+        self.caption.setMinimumHeight(2 * self.caption.fontMetrics().lineSpacing() + 2)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addWidget(self.bar)
-        layout.addLayout(row, 1)
+        layout.addWidget(self.grid, 1)
         layout.addWidget(self.caption)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.bar.changed.connect(self._on_bar)
         self.bar.reset_wanted.connect(self._on_reset)
+        self.bar.back.clicked.connect(self._back)
+        self.bar.gallery.clicked.connect(self.gallery_wanted)
+        self.grid.changed.connect(self._on_bar)
         self.cell_panel.stroke_begun.connect(self._on_stroke_begun)
         self.cell_panel.stroked.connect(self._on_stroked)
         self.cell_panel.stroke_ended.connect(self._on_stroke_ended)
@@ -116,17 +127,28 @@ class CellDock(QWidget):
             ("Right", "Next cell in the order of the gallery", partial(review.step, 1)),
             ("Up", "Cell above", partial(review.move, -1)),
             ("Down", "Cell below", partial(review.move, 1)),
-            ("D", "Correct the crack marks with the brush, or stop it", self.bar.toggle_drawing),
+            ("D", "Correct the crack marks with the brush, or stop it", self._toggle_drawing),
             ("E", "Brush or eraser", self.bar.toggle_eraser),
             ("+", "Larger brush", partial(self.bar.grow, 1)),
             ("-", "Smaller brush", partial(self.bar.grow, -1)),
             ("0", "Show the whole cell", self.shared.reset),
-            ("Esc", "Back to the gallery", self._to_gallery),
+            *(
+                (str(k + 1), f"{panel.title} large", partial(self.grid.enlarge, k + 1))
+                for k, panel in enumerate(self.panels)
+            ),
+            ("G", "Show or fold the gallery", self.gallery_wanted.emit),
+            ("Esc", "Back to the module and the gallery", self._back),
         ):
             shortcuts.add(Key(sequence, text, "Cell view"), slot, within=self)
 
-    def _to_gallery(self) -> None:
-        raise_dock(self._bench, "Cells")
+    def _back(self) -> None:
+        self.back_wanted.emit()
+        focus_gallery(self._bench)
+
+    def _toggle_drawing(self) -> None:
+        self.bar.toggle_drawing()
+        if self.bar.draws:
+            self.grid.enlarge(self.cell_panel.number)
 
     def _on_subject(self, subject: Subject | None) -> None:
         if subject is not None:
@@ -134,6 +156,7 @@ class CellDock(QWidget):
             self._limits = 0.0, float(np.nanmax(images)) or 1.0
             low, high = contrast_limits(images)
             self.bar.show_contrast(low / self._limits[1], high / self._limits[1])
+            self.grid.show_aspect(images.shape[3] / images.shape[2])
         self._on_cell(self._cell)
 
     def _on_cell(self, _: Cell | None) -> None:
@@ -145,11 +168,12 @@ class CellDock(QWidget):
         self._ask_for_frame()
 
     def _on_bar(self) -> None:
-        self.cell_panel.editable = self.bar.draws
+        # On a small picture a click means: show it large.
+        self.cell_panel.editable = self.bar.draws and self.grid.large is self.cell_panel
         self.cell_panel.erasing = self.bar.erases
         self.cell_panel.brush_px = float(self.bar.brush_px)
         self.cell_panel.setCursor(
-            Qt.CursorShape.CrossCursor if self.bar.draws else Qt.CursorShape.ArrowCursor
+            Qt.CursorShape.CrossCursor if self.cell_panel.editable else Qt.CursorShape.ArrowCursor
         )
         self._show_pictures()
         self._show_outlines()
@@ -192,12 +216,22 @@ class CellDock(QWidget):
 
     def _show_outlines(self) -> None:
         cell, opacity = self._cell, self.bar.opacity
-        mask = None
+        lines: Outlines = []
+        replaced: Outlines | None = None
         if cell is not None and opacity > 0:
-            mask = self._review.marks(cell) if self._stroke is None else self._stroke.mask
-        lines = [] if mask is None else contours(mask)
+            drawn = self._review.correction(cell) if self._stroke is None else self._stroke.mask
+            found = self._found_lines(cell)
+            lines, replaced = (found, None) if drawn is None else (contours(drawn), found)
         for panel in self.panels:
-            panel.show_outlines(lines, opacity)
+            panel.show_outlines(lines, opacity, replaced)
+
+    def _found_lines(self, cell: Cell) -> Outlines:
+        """Outlines of the detector's marks; found once, the brush asks for them all the time."""
+        key = self._review.subject, cell, self._review.threshold
+        if key != self._found[0]:
+            mask = self._review.found_marks(cell)
+            self._found = key, [] if mask is None else contours(mask)
+        return self._found[1]
 
     def _caption(self) -> None:
         cell = self._cell
@@ -284,28 +318,17 @@ def _support_colours(support: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB)
 
 
-def raise_dock(bench: Workbench, name: str) -> bool:
-    """Bring a dock to the front with the focus inside; False if there is none."""
-    inner = bench.viewer.window.dock_widgets.get(name)
-    outer: QWidget | None = inner
-    while outer is not None and not isinstance(outer, QDockWidget):
-        outer = outer.parentWidget()
-    if inner is None or outer is None:
-        return False
-    outer.show()
-    outer.raise_()
-    getattr(inner, "view", inner).setFocus()
-    return True
+def dock_of(widget: QWidget | None) -> QDockWidget | None:
+    """Return the dock that a widget is in."""
+    while widget is not None and not isinstance(widget, QDockWidget):
+        widget = widget.parentWidget()
+    return widget
 
 
-def open_cell_dock(bench: Workbench) -> None:
-    """Show the dock *Cell*, beside the gallery when it is new."""
-    if not raise_dock(bench, "Cell"):
-        window = bench.viewer.window
-        dock = window.add_dock_widget(
-            CellDock(bench.viewer), name="Cell", area="bottom", tabify=True
-        )
-        with QSignalBlocker(dock):
-            if dock.height() < LEAST_HEIGHT:
-                window._qt_window.resizeDocks([dock], [LEAST_HEIGHT], Qt.Orientation.Vertical)
-        raise_dock(bench, "Cell")
+def focus_gallery(bench: Workbench) -> None:
+    """Bring the gallery to the front with the keyboard, unless it is closed."""
+    gallery = bench.viewer.window.dock_widgets.get(GALLERY)
+    dock = dock_of(gallery)
+    if gallery is not None and dock is not None and not dock.isHidden():
+        dock.raise_()
+        getattr(gallery, "view", gallery).setFocus()

@@ -19,6 +19,12 @@ class CellBar(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
+        self.back = QPushButton("Back to module")
+        self.back.setToolTip("Show frames and module image again (Esc).")
+        self.gallery = QPushButton("Gallery")
+        self.gallery.setToolTip(
+            "Show or fold the gallery below (G): without it the cell is larger."
+        )
         self.contrast_slider = QRangeSlider(Qt.Orientation.Horizontal)
         self.contrast_slider.setRange(0, STEPS)
         self.contrast_slider.setValue((0, STEPS))
@@ -31,7 +37,7 @@ class CellBar(QWidget):
         self.opacity_slider.setValue(90)
         _may_shrink(self.opacity_slider, 40, 80)
         self.opacity_slider.setToolTip("Opacity of the outlines of the marks, percent; 0: none.")
-        self.drawing = QCheckBox("Correct marks")
+        self.drawing = QCheckBox("Correct")
         self.drawing.setToolTip(
             "Paint on the module image (D): the left button marks cracks, the right one erases."
         )
@@ -44,9 +50,13 @@ class CellBar(QWidget):
         self.brush.setToolTip("Width of brush and eraser, pixels of the module image (+ and -).")
         self.reset = QPushButton("Reset marks")
         self.reset.setToolTip("Go back to the marks that the detector found.")
+        for button in (self.back, self.gallery):  # a dock has its own ways
+            button.hide()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         for widget in (
+            self.back,
+            self.gallery,
             QLabel("Contrast"),
             self.contrast_slider,
             QLabel("Marks"),

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from napari.components import ViewerModel
-from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, Signal
-from qtpy.QtGui import QFocusEvent
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, QTimer, Signal
+from qtpy.QtGui import QFocusEvent, QKeyEvent, QResizeEvent
 from qtpy.QtWidgets import (
+    QCheckBox,
     QComboBox,
     QHBoxLayout,
     QLabel,
     QListView,
-    QSizePolicy,
     QSlider,
     QVBoxLayout,
     QWidget,
 )
 
-from napari_pv_inspect.docks.cell import open_cell_dock
-from napari_pv_inspect.docks.gallery_list import (
-    BAR,
-    GAP,
-    THUMBNAIL,
-    CellList,
-    TileDelegate,
-    cell_text,
-)
+from napari_pv_inspect.docks.gallery_list import GAP, CellList, TileDelegate, cell_text
+from napari_pv_inspect.docks.large_cell import large_cell, open_cell
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.model import WorkbenchModel
@@ -50,6 +43,12 @@ FILTERS: dict[str, tuple[VerdictKind | None, ...]] = {
 }
 
 
+# Width of a thumbnail, px: it fits the columns of the module if they may be as small or large.
+LEAST_PX, MOST_PX = 64, 180
+# Height that the gallery begins with, part of the window.
+SHARE = 0.33
+
+
 class CellsDock(QWidget):
     """Gallery of all cells of the module."""
 
@@ -60,7 +59,11 @@ class CellsDock(QWidget):
         self._bench = Workbench.of(napari_viewer)
         self._bench.has_gallery = True
         self.cells = CellList(self._review)
-        self._delegate = TileDelegate(self._review)
+        self._delegate = TileDelegate(self._review, self.cells)
+        self._sizing = QTimer(self)
+        self._sizing.setSingleShot(True)
+        self._sizing.setInterval(60)
+        self._sizing.timeout.connect(self._fit)
         self.view = _view(self.cells, self._delegate)
         self.order = _combo(
             ORDERS,
@@ -71,34 +74,54 @@ class CellsDock(QWidget):
         self.threshold = _slider(
             50, "Crack probability, percent, from which pixels are painted; measures nothing."
         )
+        self.zoom = _slider(
+            0, "Width of a thumbnail; at the left end a row is a row of the module."
+        )
+        self.zoom.setMaximum(MOST_PX)
+        self.large = QCheckBox("Large")
+        self.large.setChecked(True)
+        self.large.setToolTip(
+            "A click or an arrow key shows the cell large, in place of frames and module image; "
+            "else the view moves there."
+        )
         self.caption = QLabel("Row / column of the cell, from the top left.")
-        # A long caption is cut off, it does not widen the dock.
-        self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.caption.setWordWrap(True)
         bar = QHBoxLayout()
         for name, control in (
             ("Order", self.order),
             ("Show", self.filter),
             ("Cracks", self.opacity),
             ("from", self.threshold),
+            ("Size", self.zoom),
         ):
             bar.addWidget(QLabel(name))
             bar.addWidget(control)
-        bar.addWidget(self.caption, 1)
+        bar.addWidget(self.large)
+        bar.addStretch(1)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addLayout(bar)
         layout.addWidget(self.view, 1)
+        # Below, so that no tile moves under the mouse when it goes.
+        layout.addWidget(self.caption)
         self.order.currentTextChanged.connect(self._on_order)
         self.filter.currentTextChanged.connect(self._on_filter)
         self.opacity.valueChanged.connect(self._on_opacity)
         self.threshold.valueChanged.connect(self._on_threshold)
         self.view.selectionModel().currentChanged.connect(self._on_current)
+        self.zoom.valueChanged.connect(self._sizing.start)
         self.view.clicked.connect(self._on_click)
+        self.view.walked.connect(self._on_walk)
+        self.view.resized.connect(self._sizing.start)
         self.view.doubleClicked.connect(self.open_cell)
         bind_review_keys(self._bench, self, "Gallery")
         if self._bench.shortcuts is not None:
             key = Key("Return", "Open the selected cell large", "Gallery")
             self._bench.shortcuts.add(key, self.open_cell, within=self)
+            key = Key("Esc", "Back to the module", "Gallery")
+            self._bench.shortcuts.add(key, self._to_module, within=self)
+        if (place := large_cell(self._bench)) is not None:
+            place.toggled.connect(self._on_large)
         listen(self._review.subject_changed, self._on_subject)
         listen(self._review.listing_changed, self._relist)
         listen(self._review.verdicts_changed, self._relist)
@@ -116,10 +139,14 @@ class CellsDock(QWidget):
         return self._bench.review.state
 
     def open_cell(self, _: object = None) -> None:
-        """Show the selected cell large."""
+        """Show the selected cell large, without the gallery."""
         if self._model.selected_cell is None:
             self._bench.review.step(0)
-        open_cell_dock(self._bench)
+        open_cell(self._bench)
+
+    def sizeHint(self) -> QSize:  # noqa: N802 (Qt's name)
+        """Two rows on a small screen; most of it belongs to the pictures above."""
+        return QSize(600, round(SHARE * self.window().height()))
 
     def event(self, event: QEvent) -> bool:
         """Paint thumbnails anew on a screen of another density."""
@@ -129,6 +156,7 @@ class CellsDock(QWidget):
 
     def _on_subject(self, subject: Subject | None) -> None:
         self.cells.show_subject(self.devicePixelRatioF())
+        self._fit()
         self._on_threshold_changed(self._review.threshold)
         self._on_selected(self._model.selected_cell)
         if subject is not None:
@@ -169,6 +197,33 @@ class CellsDock(QWidget):
         # The camera comes back also to the cell that is selected already.
         self._on_current(index)
         self._bench.navigator.to_cell(*self.cells.cell(index))
+        self._on_walk()
+
+    def _on_walk(self) -> None:
+        if self.large.isChecked():
+            open_cell(self._bench, alone=False)
+
+    def _on_large(self, is_open: bool) -> None:
+        # The facts stand under the large cell then.
+        self.caption.setVisible(not is_open)
+
+    def _to_module(self) -> None:
+        if (place := large_cell(self._bench)) is not None:
+            place.leave()
+        self.view.setFocus()
+
+    def _fit(self) -> None:
+        """Give thumbnails the size that the slider says, or one that fits the module."""
+        subject, width = self._review.subject, self.zoom.value()
+        if subject is None:
+            return
+        if width < LEAST_PX // 2:
+            room = self.view.viewport().width() - 2
+            width = min(max(room // subject.tiles.grid.layout.cols - GAP, LEAST_PX), MOST_PX)
+        if width != self.cells.thumbnail.width():
+            self.cells.resize(width)
+            self.view.setGridSize(self._delegate.tile())
+            self._on_selected(self._model.selected_cell)
 
     def _on_selected(self, cell: Cell | None) -> None:
         index = self.cells.index_of(cell)
@@ -187,9 +242,7 @@ class CellsDock(QWidget):
         cell = self._model.selected_cell
         if cell is None or self._review.subject is None:
             return
-        text = cell_text(self._review, cell)
-        self.caption.setText("  |  ".join(text.splitlines()))
-        self.caption.setToolTip(text)
+        self.caption.setText("  |  ".join(cell_text(self._review, cell).splitlines()))
 
 
 class _Gallery(QListView):
@@ -199,6 +252,20 @@ class _Gallery(QListView):
     """
 
     elsewhere = False
+    walked = Signal()
+    resized = Signal()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802 (Qt's name)
+        """Tell when a key has gone to another cell."""
+        before = self.currentIndex()
+        super().keyPressEvent(event)
+        if self.currentIndex() != before:
+            self.walked.emit()
+
+    def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 (Qt's name)
+        """Tell it."""
+        super().resizeEvent(event)
+        self.resized.emit()
 
     def focusInEvent(self, event: QFocusEvent) -> None:  # noqa: N802 (Qt's name)
         """Show that keys go here."""
@@ -218,9 +285,12 @@ def _view(cells: CellList, delegate: TileDelegate) -> _Gallery:
     view.setResizeMode(QListView.ResizeMode.Adjust)
     view.setMovement(QListView.Movement.Static)
     view.setUniformItemSizes(True)
-    view.setGridSize(QSize(THUMBNAIL + GAP, THUMBNAIL + BAR + GAP))
+    view.setGridSize(delegate.tile())
+    # A scroll bar that comes and goes would change the size of the thumbnails.
+    view.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOn)
     view.setToolTip(
-        "A click or the arrow keys select a cell, a letter judges it, Enter shows it large."
+        "A click or the arrow keys show a cell large, a letter judges it; Enter or a double click "
+        "folds the gallery as well."
     )
     return view
 

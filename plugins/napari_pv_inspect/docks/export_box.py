@@ -67,6 +67,7 @@ class ExportBox(QGroupBox):
         self.open.clicked.connect(self._on_open)
         listen(review.module_data_changed, self._show)
         listen(review.subject_changed, self._on_subject)
+        listen(review.flush_wanted, self._flush)
         self._on_subject()
 
     def _on_subject(self, _: object = None) -> None:
@@ -79,6 +80,10 @@ class ExportBox(QGroupBox):
             field.setText(
                 value if isinstance(value, str) else "" if value is None else f"{value:g}"
             )
+
+    def _flush(self) -> None:
+        if any(field.isModified() for field in self.fields.values()):
+            self._on_edited()
 
     def _on_edited(self) -> None:
         if self._review.subject is None:

@@ -12,20 +12,26 @@ from napari_pv_inspect.thumbnails import Thumbnails
 from pv_inspect.cracks.wording import tooltip
 from pv_inspect.review import Cell, Verdict, VerdictKind
 
-__all__ = ["THUMBNAIL", "CellList", "TileDelegate", "cell_text", "ink_on"]
+__all__ = ["BAR", "GAP", "CellList", "TileDelegate", "cell_text", "ink_on"]
 
-THUMBNAIL = 92
 BAR = 16
 GAP = 6
 CELL_ROLE = Qt.ItemDataRole.UserRole
 
 
 class CellList(QAbstractListModel):
-    """The listed cells: picture, name, verdict, features."""
+    """The listed cells: picture, name, verdict, features.
+
+    Attributes
+    ----------
+    thumbnail : QSize
+        Of a picture, logical pixels.
+    """
 
     def __init__(self, review: ReviewModel) -> None:
         super().__init__()
         self._review = review
+        self.thumbnail = QSize(92, 92)
         self._order: tuple[Cell, ...] = ()
         self._thumbnails: Thumbnails | None = None
         self._pictures: dict[Cell, QPixmap] = {}
@@ -34,12 +40,21 @@ class CellList(QAbstractListModel):
 
     def show_subject(self, ratio: float) -> None:
         """Show the cells of another subject; ``ratio``: device pixels per pixel of the screen."""
-        subject = self._review.subject
         self._ratio = ratio
-        size = round(THUMBNAIL * ratio)
-        self._thumbnails = None if subject is None else Thumbnails(subject, size)
-        self._pictures.clear()
+        self.resize(self.thumbnail.width())
         self.relist()
+
+    def resize(self, width: int) -> None:
+        """Paint pictures of another width."""
+        subject = self._review.subject
+        self._pictures.clear()
+        self._thumbnails = None
+        self.thumbnail = QSize(width, width)
+        if subject is not None:
+            rows, cols = subject.tiles.images.shape[2:]
+            self.thumbnail.setHeight(max(round(width * rows / cols), 1))
+            longest = max(self.thumbnail.width(), self.thumbnail.height())
+            self._thumbnails = Thumbnails(subject, round(longest * self._ratio))
 
     def relist(self) -> bool:
         """List the cells again; returns whether the list is another one."""
@@ -110,13 +125,17 @@ class CellList(QAbstractListModel):
 class TileDelegate(QStyledItemDelegate):
     """Paints picture, place, verdict of the rater and marks of the other raters."""
 
-    def __init__(self, review: ReviewModel) -> None:
+    def __init__(self, review: ReviewModel, cells: CellList) -> None:
         super().__init__()
-        self._review = review
+        self._review, self._cells = review, cells
+
+    def tile(self) -> QSize:
+        """Size of a tile with its bar and the gap to the next one."""
+        return self._cells.thumbnail + QSize(GAP, BAR + GAP)
 
     def sizeHint(self, _: QStyleOptionViewItem, __: QModelIndex) -> QSize:  # noqa: N802
         """Size of a tile with its bar."""
-        return QSize(THUMBNAIL + GAP, THUMBNAIL + BAR + GAP)
+        return self.tile()
 
     def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex) -> None:
         """Paint a tile."""
@@ -127,9 +146,10 @@ class TileDelegate(QStyledItemDelegate):
         painter.save()
         area = option.rect.adjusted(GAP // 2, GAP // 2, -(GAP // 2), -(GAP // 2))
         size = picture.deviceIndependentSize().toSize()
-        left = area.left() + (THUMBNAIL - size.width()) // 2
+        room = self._cells.thumbnail
+        left = area.left() + (room.width() - size.width()) // 2
         painter.drawPixmap(left, area.top(), picture)
-        bar = QRect(area.left(), area.top() + THUMBNAIL, THUMBNAIL, BAR)
+        bar = QRect(area.left(), area.top() + room.height(), room.width(), BAR)
         self._paint_bar(painter, bar, cell, option)
         for k, verdict in enumerate(self._review.others(cell)[:5]):
             _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)

@@ -20,16 +20,19 @@ from qtpy.QtGui import (
     QTransform,
     QWheelEvent,
 )
-from qtpy.QtWidgets import QSizePolicy, QWidget
+from qtpy.QtWidgets import QApplication, QWidget
 
-from napari_pv_inspect.appearance import CRACK_RGB
+from napari_pv_inspect.appearance import CORRECTED_RGB, CRACK_RGB
 
-__all__ = ["PaintPanel", "Panel", "SharedView"]
+__all__ = ["Outlines", "PaintPanel", "Panel", "SharedView"]
 
 Pixels = NDArray[np.uint8]
+Outlines = list[NDArray[np.float64]]
 ZOOM_STEP = 1.2
 MAX_ZOOM = 40.0
 TITLE = 18
+# From this size on, screen pixels per pixel of the picture, its pixels are shown as they are.
+PIXELS_FROM = 6.0
 
 
 @dataclass
@@ -68,20 +71,33 @@ class Panel(QWidget):
     ----------
     title, tip : str
     view : SharedView
+
+    Attributes
+    ----------
+    number : int
+        Key that shows it large.
+    smooth : bool
+        Whether pixels of the picture run into each other where it is enlarged.
     """
 
-    def __init__(self, title: str, tip: str, view: SharedView) -> None:
+    clicked = QtSignal(object)
+
+    def __init__(self, title: str, tip: str, view: SharedView, smooth: bool = True) -> None:
         super().__init__()
         self.title = title
         self.view = view
+        self.number = 0
+        self.smooth = smooth
         self.sentence = ""
         self._image: QImage | None = None
         self._outlines: list[QPolygonF] = []
+        self._faint: list[QPolygonF] = []
+        self._rgb = CRACK_RGB
         self._outline_opacity = 1.0
         self._dragged_from: QPointF | None = None
+        self._pressed_at = QPointF()
+        self._is_click = False
         self.setToolTip(tip)
-        self.setMinimumSize(120, 120)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
         view.changed.connect(self.repaint_soon)
 
@@ -95,9 +111,25 @@ class Panel(QWidget):
         self.sentence = sentence
         self.update()
 
-    def show_outlines(self, lines: list[NDArray[np.float64]], opacity: float) -> None:
-        """Draw lines, each (n, 2) as (x, y) in pixels of the picture, over it."""
-        self._outlines = [QPolygonF([QPointF(x, y) for x, y in line]) for line in lines]
+    def show_outlines(
+        self,
+        lines: Outlines,
+        opacity: float,
+        replaced: Outlines | None = None,
+    ) -> None:
+        """Draw outlines of marks over the picture.
+
+        Parameters
+        ----------
+        lines : list of (n, 2) float64
+            (x, y) in pixels of the picture.
+        opacity : float
+        replaced : list of (n, 2) float64, optional
+            What the detector found where a person has corrected it: dashed, the others in the
+            colour of edited things.
+        """
+        self._outlines, self._faint = _polygons(lines), _polygons(replaced or [])
+        self._rgb = CRACK_RGB if replaced is None else CORRECTED_RGB
         self._outline_opacity = opacity
         self.update()
 
@@ -113,7 +145,7 @@ class Panel(QWidget):
             painter.setClipRect(self._picture_area())
             painter.setTransform(self._transform())
             scale = self._transform().m11() * self.devicePixelRatioF()
-            smooth = scale < 1
+            smooth = scale < 1 or (self.smooth and scale < PIXELS_FROM)
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, smooth)
             painter.drawImage(QPointF(0, 0), self._image)
             self._paint_over(painter)
@@ -121,7 +153,11 @@ class Panel(QWidget):
             painter.setClipping(False)
         painter.setPen(QColor("#d0d4d8"))
         flags = Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
-        painter.drawText(QRectF(4, 0, self.width() - 8, TITLE), flags, self.title)
+        line = QRectF(4, 0, self.width() - 8, TITLE)
+        title = f"{self.number}  {self.title}" if self.number else self.title
+        elide = painter.fontMetrics().elidedText
+        title = elide(title, Qt.TextElideMode.ElideMiddle, round(line.width()))
+        painter.drawText(line, flags, title)
         if self.sentence:
             box = self._picture_area().adjusted(8, 0, -8, 0)
             flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
@@ -144,13 +180,19 @@ class Panel(QWidget):
         event.accept()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
-        """Begin to move the pictures."""
-        self._dragged_from = event.position()
+        """Begin to move the pictures, or to click."""
+        self._dragged_from = self._pressed_at = event.position()
+        self._is_click = True
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Move the pictures."""
         if self._dragged_from is None or self._image is None:
             return
+        if self._is_click:
+            way = event.position() - self._pressed_at
+            if way.manhattanLength() < QApplication.startDragDistance():
+                return
+            self._is_click = False
         to = self.to_picture()
         way = to.map(event.position()) - to.map(self._dragged_from)
         self._dragged_from = event.position()
@@ -160,21 +202,29 @@ class Panel(QWidget):
 
     def mouseReleaseEvent(self, _: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Let go."""
+        clicked = self._dragged_from is not None and self._is_click
         self._dragged_from = None
+        self._is_click = False
+        if clicked:
+            self.clicked.emit(self)
 
     def mouseDoubleClickEvent(self, _: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Show the whole cell again."""
         self.view.reset()
 
     def _paint_over(self, painter: QPainter) -> None:
-        pen = QPen(QColor.fromRgbF(*CRACK_RGB), 1.5)
-        pen.setCosmetic(True)
-        painter.setPen(pen)
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setOpacity(self._outline_opacity)
-        for outline in self._outlines:
-            painter.drawPolygon(outline)
+        for outlines, rgb, width, style in (
+            (self._faint, CRACK_RGB, 1.0, Qt.PenStyle.DashLine),
+            (self._outlines, self._rgb, 1.5, Qt.PenStyle.SolidLine),
+        ):
+            pen = QPen(QColor.fromRgbF(*rgb), width, style)
+            pen.setCosmetic(True)
+            painter.setPen(pen)
+            for outline in outlines:
+                painter.drawPolygon(outline)
         painter.setOpacity(1.0)
 
     def _picture_area(self) -> QRectF:
@@ -266,6 +316,10 @@ class PaintPanel(Panel):
             painter.setPen(pen)
             radius = self.brush_px / 2
             painter.drawEllipse(self.to_picture().map(self._pointer), radius, radius)
+
+
+def _polygons(lines: Outlines) -> list[QPolygonF]:
+    return [QPolygonF([QPointF(x, y) for x, y in line]) for line in lines]
 
 
 def _image(picture: Pixels) -> QImage:

@@ -78,6 +78,7 @@ class ReviewBox(QGroupBox):
         listen(model.cell_selected, self._on_cell)
         listen(reviewer.state.subject_changed, self._on_cell)
         listen(reviewer.state.verdicts_changed, self._on_verdicts)
+        listen(reviewer.state.flush_wanted, self._flush)
         listen(history.changed, self._on_history)
         self._on_cell()
         self._on_history()
@@ -119,6 +120,10 @@ class ReviewBox(QGroupBox):
             self._reviewer.state.write_note(self._noted, self.note.text())
             self.note.setModified(False)
 
+    def _flush(self) -> None:
+        if self.note.isModified():
+            self._on_note()
+
     def _on_goes_on(self, goes_on: bool) -> None:
         self._reviewer.goes_on = goes_on
 
@@ -130,8 +135,7 @@ class ReviewBox(QGroupBox):
             self._history.undo()
 
     def _on_cell(self, _: object = None) -> None:
-        if self.note.isModified():
-            self._on_note()
+        self._flush()
         state, cell = self._reviewer.state, self._model.selected_cell
         known = cell is not None and state.subject is not None and cell in state.subject.places
         self._noted = cell if known else None

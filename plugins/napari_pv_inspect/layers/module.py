@@ -7,6 +7,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Layer
 from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
+from psygnal import Signal
 
 from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.slot import LayerSlot
@@ -22,13 +23,21 @@ __all__ = ["ModuleLayers"]
 
 
 class ModuleLayers:
-    """Keeps the layers of the module plane in step with the model."""
+    """Keeps the layers of the module plane in step with the model.
+
+    Attributes
+    ----------
+    cracks : (h, w) float32 or None
+        Crack probability that the module image is shown with.
+    """
+
+    cracks_shown = Signal(object)
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel) -> None:
         self._viewer = viewer
         self._model = model
         self._shown: object = None
-        self._cracks_shown: object = None
+        self.cracks: NDArray[np.float32] | None = None
         self.placement: Placement | None = None
         self.grid: HrGrid | None = None
         self.shape = (0, 0)
@@ -82,16 +91,25 @@ class ModuleLayers:
         self._support.veil()
         self._consistency.veil()
         self._cracks.veil()
-        self._cracks_shown = None
+        self._know_cracks(None)
 
     def _on_sequence(self, _: Sequence | None) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
         for slot in self._slots.values():
             slot.drop()
         self._contrast_is_final = False
-        self._shown = self._cracks_shown = self.placement = self.grid = None
+        self._shown = self.placement = self.grid = None
+        self._know_cracks(None)
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
-        if inspection is None or (made := inspection.reconstruction) is None:
+        if inspection is None:
+            return
+        if (made := inspection.reconstruction) is None:
+            if self.grid is not None and self.grid.layout != inspection.layout:
+                # The image of other rows and columns is none of this module.
+                self._clear()
             return
         if made is not self._shown:
             self._put_image(made.image, made.grid)
@@ -101,12 +119,24 @@ class ModuleLayers:
             self._support.put(made.support, scale=place.scale, translate=place.translate)
             self._consistency.put(made.consistency, scale=place.scale, translate=place.translate)
             self._shown = made
-        if inspection.cracks is not None and inspection.cracks is not self._cracks_shown:
-            place = module_placement(made.grid, made.image.shape, self._frame_shape)
-            self._cracks.put(
-                inspection.cracks.probability, scale=place.scale, translate=place.translate
-            )
-            self._cracks_shown = inspection.cracks
+        cracks = None if inspection.cracks is None else inspection.cracks.probability
+        if cracks is not None and cracks is not self.cracks:
+            self.put_cracks(cracks)
+            self._know_cracks(cracks)
+
+    @property
+    def has_cracks(self) -> bool:
+        """Whether there is a layer of cracks; the user may have deleted it."""
+        return self._cracks.layer is not None
+
+    def put_cracks(self, cracks: NDArray[np.float32]) -> None:
+        """Show a crack map of the module image that is shown, anew if its content has changed."""
+        layer = self._cracks.layer
+        if layer is not None and layer.data is cracks:
+            layer.refresh()
+        elif self.placement is not None:
+            place = self.placement
+            self._cracks.put(cracks, scale=place.scale, translate=place.translate)
 
     def adopt(self, layer: Layer) -> None:
         """Make a layer of the reader ours, in place of the one that was."""
@@ -121,7 +151,12 @@ class ModuleLayers:
         place = {"scale": self.placement.scale, "translate": self.placement.translate}
         self._support.put(result.support, **place)
         self._consistency.put(result.consistency, **place)
-        self._cracks.put(result.cracks, **place)
+        self.put_cracks(result.cracks)
+        self._know_cracks(result.cracks)
+
+    def _know_cracks(self, cracks: NDArray[np.float32] | None) -> None:
+        self.cracks = cracks
+        self.cracks_shown.emit(cracks)
 
     def _put_image(self, image: NDArray[np.float32], grid: HrGrid) -> None:
         self.grid, self.shape = grid, image.shape

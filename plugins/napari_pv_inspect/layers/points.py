@@ -155,22 +155,28 @@ class PointsLayer:
 
     def _show(self, marks: CrossingMarks) -> None:
         before, self._marks = self._marks, marks
+        looks: dict[str, Any] = {}
+        if (
+            before is None
+            or self._slot.layer is not self._layer
+            or not np.array_equal(before.kind, marks.kind)
+        ):
+            looks = {
+                "features": {"crossing": marks.crossing, "kind": marks.kind},
+                "symbol": np.array(look.POINT_SYMBOLS)[marks.kind],
+                "size": np.array(look.POINT_SIZES)[marks.kind],
+                "border_color": COLOURS[marks.kind],
+                "face_color": FACES[marks.kind],
+            }
         # napari moves points within the array that it was given.
-        layer = self._slot.put(marks.points.copy())
-        new = layer is not self._layer
-        if new:
+        layer = self._slot.redraw(marks.points.copy(), **looks)
+        if layer is not self._layer:
             self._layer = layer
             layer.events.data.connect(self._on_data)
             layer.events.mode.connect(self._on_mode)
             layer.events.set_data.connect(self._on_drawn)
             # napari pastes without telling anybody.
             layer.bind_key("Control-V", self._on_paste, overwrite=True)
-        if new or before is None or not np.array_equal(before.kind, marks.kind):
-            layer.features = {"crossing": marks.crossing, "kind": marks.kind}
-            layer.symbol = np.array(look.POINT_SYMBOLS)[marks.kind]
-            layer.size = np.array(look.POINT_SIZES)[marks.kind]
-            layer.border_color = COLOURS[marks.kind]
-            layer.face_color = FACES[marks.kind]
         layer.editable = self._model.run_state is RunState.IDLE
         self._hold({})
 
@@ -189,9 +195,11 @@ class PointsLayer:
         self._model.notice("Points can't be pasted: every crossing has one. Drag or add instead.")
 
     def _on_drawn(self, _: object = None) -> None:
-        """See what the hand does between press and release, of which napari tells nothing."""
+        """See what the hand does between press and release, when napari holds its news back."""
         marks, layer = self._marks, self._layer
         if self._writing or marks is None or layer is None or self._slot.layer is not layer:
+            return
+        if not layer.events.data.blocked():
             return
         data = np.asarray(layer.data)
         if data.shape == marks.points.shape:

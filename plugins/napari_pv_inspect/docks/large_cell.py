@@ -1,0 +1,172 @@
+"""Where a cell is shown large: in the place of the canvas, with the docks beside it folded."""
+
+from __future__ import annotations
+
+from qtpy.QtCore import Qt, QTimer, Signal
+from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
+
+from napari_pv_inspect.docks.cell import GALLERY, CellDock, dock_of, focus_gallery
+from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.workbench import Workbench
+
+__all__ = ["LargeCell", "large_cell", "open_cell"]
+
+REVIEW_PAGE = "Review"
+
+
+class LargeCell(QWidget):
+    """Shows the cell view instead of the canvas, and gives all back when it leaves.
+
+    The docks are the user's: only those that it has folded itself come back, and only if the user
+    did not bring them back before.
+
+    Attributes
+    ----------
+    view : CellDock
+    is_open : bool
+    """
+
+    toggled = Signal(bool)
+
+    def __init__(self, bench: Workbench, window: QMainWindow) -> None:
+        super().__init__()
+        self._bench = bench
+        self._folded: list[tuple[QDockWidget, int, int]] = []
+        self._settle = QTimer(self)
+        self._settle.setSingleShot(True)
+        self._settle.timeout.connect(self._on_settled)
+        self.is_open = False
+        self.view = CellDock(bench.viewer)
+        for button in (self.view.bar.back, self.view.bar.gallery):
+            button.show()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.view)
+        self.hide()
+        window.centralWidget().layout().addWidget(self)
+        self.view.back_wanted.connect(self.leave)
+        self.view.gallery_wanted.connect(self.toggle_gallery)
+        listen(bench.review.state.subject_changed, self._on_subject)
+        listen(bench.navigator.canvas_wanted, self.leave)
+        listen(bench.session.page_turned, self._on_page)
+        listen(bench.closing, self._on_closing)
+
+    def open(self, alone: bool) -> None:
+        """Show the selected cell; ``alone``: with the gallery folded, and the keyboard."""
+        if not self.is_open:
+            self.is_open = True
+            canvas = self._window._qt_viewer
+            for dock in (canvas.dockLayerControls, canvas.dockLayerList):
+                area = self._window.dockWidgetArea(dock)
+                if area == Qt.DockWidgetArea.LeftDockWidgetArea:
+                    self._fold(dock)
+            canvas.hide()
+            self.show()
+            self.toggled.emit(True)
+        if alone:
+            gallery = dock_of(self._gallery)
+            if gallery is not None:
+                self._fold(gallery)
+            self.view.setFocus()
+
+    def leave(self) -> None:
+        """Show the canvas again."""
+        if not self.is_open:
+            return
+        self._give_back()
+        self.toggled.emit(False)
+        # The canvas and the docks have their sizes when they are laid out.
+        self._settle.start()
+
+    def toggle_gallery(self) -> None:
+        """Fold the gallery, or show it; the keyboard goes to what is shown."""
+        gallery = dock_of(self._gallery)
+        if gallery is None:
+            return
+        if gallery.isHidden():
+            gallery.show()
+            self._settle.start()
+            focus_gallery(self._bench)
+        else:
+            self._fold(gallery)
+            self.view.setFocus()
+
+    @property
+    def _window(self) -> QMainWindow:
+        return self._bench.viewer.window._qt_window
+
+    @property
+    def _gallery(self) -> QWidget | None:
+        return self._bench.viewer.window.dock_widgets.get(GALLERY)
+
+    def _on_page(self, page: str) -> None:
+        if page != REVIEW_PAGE:
+            self.leave()
+
+    def _on_subject(self, subject: Subject | None) -> None:
+        if subject is None:
+            self.leave()
+
+    def _on_closing(self) -> None:
+        # napari may store where the docks are.
+        if self.is_open:
+            self._give_back()
+        self._settle.stop()
+        self._folded.clear()
+
+    def _fold(self, dock: QDockWidget) -> None:
+        if not dock.isHidden() and not dock.isFloating():
+            self._folded = [entry for entry in self._folded if entry[0] is not dock]
+            self._folded.append((dock, dock.width(), dock.height()))
+            dock.hide()
+
+    def _give_back(self) -> None:
+        self.is_open = False
+        self.hide()
+        self._window._qt_viewer.show()
+        for dock, _, _ in self._folded:
+            dock.show()
+
+    def _on_settled(self) -> None:
+        """Give docks that came back the sizes that they had."""
+        back = [entry for entry in self._folded if not entry[0].isHidden()]
+        self._folded = [entry for entry in self._folded if entry not in back]
+        back = [entry for entry in back if not entry[0].isFloating()]
+        if back:
+            docks, widths, heights = ([*values] for values in zip(*back, strict=True))
+            self._window.resizeDocks(docks, widths, Qt.Orientation.Horizontal)
+            self._window.resizeDocks(docks, heights, Qt.Orientation.Vertical)
+        cell = self._bench.model.selected_cell
+        if cell is not None and not self.is_open:
+            self._bench.navigator.to_cell(*cell)
+
+
+def large_cell(bench: Workbench) -> LargeCell | None:
+    """Return where a workbench shows cells large, made when first asked for.
+
+    None if there is no window.
+    """
+    window: QMainWindow | None = getattr(bench.viewer.window, "_qt_window", None)
+    if window is None:
+        return None
+    return window.findChild(LargeCell) or LargeCell(bench, window)
+
+
+def open_cell(bench: Workbench, alone: bool = True) -> None:
+    """Show the selected cell large.
+
+    Parameters
+    ----------
+    bench : Workbench
+    alone : bool
+        Fold the gallery as well, and take the keyboard.
+    """
+    own = dock_of(bench.viewer.window.dock_widgets.get("Cell"))
+    if own is not None and own.isVisible():  # a dock that the user has placed, perhaps elsewhere
+        own.raise_()
+        if alone:
+            own.widget().setFocus()
+        return
+    if (place := large_cell(bench)) is not None:
+        place.open(alone)

@@ -1,0 +1,109 @@
+"""Takes one review over into another: nothing that is said there already is replaced."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass, field
+from typing import Any
+
+from pv_inspect.review.entries import CONTENT
+from pv_inspect.review.verdicts import Cell
+
+__all__ = ["Contents", "contents", "merge"]
+
+_COLUMNS = ("action", "edit", "stored", "rater", '"row"', "col", *CONTENT)
+_EDIT, _RATER, _CELL = 1, 3, slice(4, 6)
+_MASK = _COLUMNS.index("mask")
+_SAID = slice(_COLUMNS.index("kind"), _COLUMNS.index("note") + 1)
+
+_Line = tuple[Any, ...]
+# Who says something about which cell.
+_Place = tuple[str, Cell]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """All that a database holds.
+
+    Parameters
+    ----------
+    lines : tuple of (id, columns)
+        The history, the oldest first.
+    masks : dict of id to PNG
+    module_data : tuple of (stored, data)
+        The oldest first.
+    states : tuple of (rater, stored, row, col)
+    """
+
+    lines: tuple[tuple[int, _Line], ...] = ()
+    masks: dict[int, bytes] = field(default_factory=dict)
+    module_data: tuple[_Line, ...] = ()
+    states: tuple[_Line, ...] = ()
+
+    @property
+    def latest(self) -> dict[_Place, tuple[Any, ...]]:
+        """Verdict, note and mask that hold, by rater and cell."""
+        found = {}
+        for _, line in self.lines:
+            mask = None if line[_MASK] is None else self.masks[line[_MASK]]
+            found[_place(line)] = (*line[_SAID], mask)
+        return found
+
+
+def contents(connection: sqlite3.Connection) -> Contents:
+    """Read all that a database holds; inside of a transaction."""
+    lines = connection.execute(f"SELECT id, {', '.join(_COLUMNS)} FROM history ORDER BY id")
+    return Contents(
+        tuple((int(number), tuple(line)) for number, *line in lines),
+        dict(connection.execute("SELECT id, png FROM masks").fetchall()),
+        tuple(connection.execute("SELECT stored, data FROM module_data ORDER BY id")),
+        tuple(connection.execute('SELECT rater, stored, "row", col FROM state')),
+    )
+
+
+def merge(connection: sqlite3.Connection, other: Contents) -> tuple[_Place, ...]:
+    """Add what another database holds; inside of a transaction.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        What it says about a cell for a rater stays; so do its module data, if there are any.
+    other : Contents
+
+    Returns
+    -------
+    tuple of (rater, cell)
+        Where both say something, and not the same.
+    """
+    here = contents(connection)
+    known, numbers, masks = here.latest, dict[int, int](), dict[int, int]()
+    marks = ", ".join("?" * len(_COLUMNS))
+    insert = f"INSERT INTO history ({', '.join(_COLUMNS)}) VALUES ({marks})"
+    for number, line in other.lines:
+        if _place(line) in known:
+            continue
+        values = list(line)
+        if (mask := line[_MASK]) is not None:
+            if mask not in masks:
+                stored = connection.execute(
+                    "INSERT INTO masks (png) VALUES (?)", (other.masks[mask],)
+                )
+                masks[mask] = stored.lastrowid or 0
+            values[_MASK] = masks[mask]
+        values[_EDIT] = None if line[_EDIT] is None else numbers[line[_EDIT]]
+        numbers[number] = connection.execute(insert, values).lastrowid or 0
+    if not here.module_data:
+        connection.executemany(
+            "INSERT INTO module_data (stored, data) VALUES (?, ?)", other.module_data
+        )
+    connection.executemany(
+        'INSERT OR IGNORE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)', other.states
+    )
+    return tuple(
+        place for place, said in other.latest.items() if place in known and known[place] != said
+    )
+
+
+def _place(line: _Line) -> _Place:
+    row, col = line[_CELL]
+    return str(line[_RATER]), (int(row), int(col))

@@ -1,0 +1,110 @@
+"""Corrected marks in the layers of napari and in the gallery."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from qtpy.QtGui import QImage
+from qtpy.QtWidgets import QMessageBox
+
+from napari_pv_inspect.appearance import CORRECTED, CRACKS
+from pv_inspect.pipeline import Inspection
+
+Shown = tuple[Any, Any, Any]
+CELL = (1, 1)
+
+
+@pytest.fixture
+def shown(bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch) -> Shown:
+    monkeypatch.setattr(
+        "napari_pv_inspect.docks.inspect.QFileDialog.getSaveFileName", lambda *_: ("", "")
+    )
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Discard)
+    viewer, dock, _ = bench
+    dock.bench.model.inspection = tiny_inspection
+    dock.bench.model.inspection_changed.emit(tiny_inspection)
+    state = dock.bench.review.state
+    mask = np.zeros_like(state.marks(CELL))
+    mask[len(mask) // 2, 4:-4] = True
+    return viewer, state, mask
+
+
+def test_the_corrected_cell_leaves_the_layer_of_the_detector_and_undo_brings_it_back(
+    shown: Shown, tiny_inspection: Inspection
+) -> None:
+    viewer, state, mask = shown
+    detected = tiny_inspection.cracks.probability
+    where = tiny_inspection.tiles.grid.cell_slices(*CELL)
+    before = detected.copy()
+    assert CORRECTED not in viewer.layers
+    state.correct(CELL, mask)
+    corrected = np.asarray(viewer.layers[CORRECTED].data)
+    np.testing.assert_array_equal(corrected[where], mask)
+    assert corrected.sum() == mask.sum()
+    left = np.asarray(viewer.layers[CRACKS].data)
+    assert (left[where] == 0).all()
+    other = tiny_inspection.tiles.grid.cell_slices(0, 0)
+    np.testing.assert_array_equal(left[other], detected[other])
+    np.testing.assert_array_equal(detected, before)
+    state._history.undo()
+    assert CORRECTED not in viewer.layers
+    assert viewer.layers[CRACKS].data is detected
+    state._history.redo()
+    np.testing.assert_array_equal(np.asarray(viewer.layers[CORRECTED].data)[where], mask)
+
+
+def test_marks_are_those_of_the_rater(shown: Shown) -> None:
+    viewer, state, mask = shown
+    state.correct(CELL, mask)
+    state.set_rater("Ben")
+    assert CORRECTED not in viewer.layers
+    state.correct((0, 0), mask)
+    assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
+
+
+def test_deleted_layers_break_nothing(shown: Shown) -> None:
+    viewer, state, mask = shown
+    state.correct(CELL, mask)
+    viewer.layers.remove(viewer.layers[CRACKS])
+    viewer.layers.remove(viewer.layers[CORRECTED])
+    state.correct((0, 0), mask)
+    assert CRACKS not in viewer.layers, "the user does not want it"
+    assert np.asarray(viewer.layers[CORRECTED].data).sum() == 2 * mask.sum()
+
+
+def test_a_preview_of_another_image_hides_the_marks(shown: Shown) -> None:
+    viewer, state, mask = shown
+    state.correct(CELL, mask)
+    dock_model = viewer.layers[CORRECTED]
+    from napari_pv_inspect.workbench import Workbench
+
+    bench = Workbench.of(viewer)
+    bench.module.preview(np.zeros((20, 30), np.float32))
+    assert not dock_model.visible
+    bench.model.inspection_changed.emit(bench.model.inspection)
+    assert viewer.layers[CORRECTED].visible
+    assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
+
+
+def test_the_gallery_paints_corrected_marks_in_another_colour(bench: Any, shown: Shown) -> None:
+    _, _, cells = bench
+    _, state, mask = shown
+
+    def colours() -> set[str]:
+        picture: QImage = cells.cells._picture(CELL).toImage()
+        xs, ys = range(picture.width()), range(picture.height())
+        pixels = [picture.pixelColor(x, y) for x in xs for y in ys]
+        return {
+            "purple" if c.blue() > c.green() else "orange"
+            for c in pixels
+            if max(c.red(), c.green(), c.blue()) - min(c.red(), c.green(), c.blue()) > 40
+        }
+
+    cells.opacity.setValue(100)
+    mask[5:9] = True
+    state.correct(CELL, mask)
+    assert colours() == {"purple"}
+    state.correct(CELL, None)
+    assert "purple" not in colours()

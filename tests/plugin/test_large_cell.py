@@ -1,0 +1,167 @@
+"""The cell in the place of the canvas: how large it is, what it folds and gives back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import Qt
+from qtpy.QtTest import QTest
+
+from napari_pv_inspect.docks.large_cell import LargeCell, large_cell
+from napari_pv_inspect.docks.panel_grid import areas
+from pv_inspect.pipeline import Inspection
+
+LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+Opened = tuple[Any, Any, Any, LargeCell]
+
+
+@given(
+    st.integers(300, 4000),
+    st.integers(200, 3000),
+    st.floats(0.4, 2.5),
+    st.integers(1, 4),
+)
+def test_pictures_lie_in_their_room_and_apart(
+    width: int, height: int, aspect: float, n_small: int
+) -> None:
+    large, small = areas(width, height, aspect, n_small)
+    rooms = [large, *small]
+    assert all(r.left() >= 0 and r.top() >= 0 for r in rooms)
+    assert all(r.right() < width and r.bottom() < height for r in rooms)
+    assert all(r.width() > 10 and r.height() > 10 for r in rooms)
+    assert not any(a.intersects(b) for k, a in enumerate(rooms) for b in rooms[:k])
+
+
+@pytest.mark.parametrize(("width", "height"), [(917, 422), (917, 680), (1537, 921), (600, 900)])
+def test_the_large_picture_is_the_largest(width: int, height: int) -> None:
+    large, small = areas(width, height, 1.0, 3)
+    side = min(large.width(), large.height())
+    assert all(side > 1.5 * min(r.width(), r.height()) for r in small)
+    assert side > 0.7 * min(width, height)
+
+
+@pytest.fixture
+def opened(bench: Any, tiny_inspection: Inspection, qtbot: QtBot) -> Opened:
+    viewer, dock, cells = bench
+    dock.bench.model.inspection = tiny_inspection
+    dock.bench.model.inspection_changed.emit(tiny_inspection)
+    window = viewer.window._qt_window
+    window.resize(1280, 800)
+    window.show()
+    qtbot.waitUntil(lambda: cells.isVisible(), timeout=5000)
+    qtbot.wait(100)  # docks settle
+    return viewer, dock, cells, large_cell(dock.bench)
+
+
+def click(cells: Any, number: int) -> None:
+    index = cells.cells.index(number)
+    cells.view.scrollTo(index)
+    place = cells.view.visualRect(index).center()
+    QTest.mouseClick(cells.view.viewport(), LEFT, NONE, place)
+
+
+def folded(viewer: Any) -> list[bool]:
+    canvas = viewer.window._qt_window._qt_viewer
+    return [canvas.dockLayerList.isHidden(), canvas.dockLayerControls.isHidden(), canvas.isHidden()]
+
+
+def test_a_click_shows_the_cell_large_and_back_restores_the_docks(
+    opened: Opened, qtbot: QtBot
+) -> None:
+    viewer, _, cells, place = opened
+    before = viewer.window._qt_window._qt_viewer.dockLayerList.size()
+    height = cells.height()
+    click(cells, 1)
+    qtbot.waitUntil(place.view.isVisible, timeout=2000)
+    assert folded(viewer) == [True] * 3
+    assert cells.isVisible()
+    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 400, timeout=2000)
+    assert place.view.cell_panel.width() >= 400
+    QTest.mouseClick(place.view.bar.back, LEFT)
+    assert folded(viewer) == [False] * 3
+    restored = viewer.window._qt_window._qt_viewer.dockLayerList
+    qtbot.waitUntil(lambda: restored.size() == before, timeout=2000)
+    assert cells.height() == height
+
+
+def test_enter_folds_the_gallery_too_and_one_key_brings_it_back(
+    opened: Opened, qtbot: QtBot
+) -> None:
+    viewer, dock, cells, place = opened
+    viewer.window._qt_window.activateWindow()
+    cells.view.setFocus()
+    qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
+    QTest.keyClick(cells.view, Qt.Key.Key_Return)
+    qtbot.waitUntil(place.view.hasFocus, timeout=2000)
+    assert cells.isHidden() or not cells.isVisible()
+    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 600, timeout=2000)
+    QTest.keyClick(place.view, "g")
+    qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
+    assert place.is_open
+    QTest.keyClick(cells.view, Qt.Key.Key_Right)
+    assert dock.bench.model.selected_cell == (0, 1)
+    QTest.keyClick(cells.view, Qt.Key.Key_Escape)
+    assert not place.is_open
+    assert cells.view.hasFocus()
+
+
+def test_what_the_user_brings_back_or_takes_away_stays_so(opened: Opened) -> None:
+    viewer, dock, cells, place = opened
+    canvas = viewer.window._qt_window._qt_viewer
+    canvas.dockLayerControls.hide()
+    click(cells, 1)
+    canvas.dockLayerList.show()
+    place.leave()
+    assert folded(viewer) == [False, True, False]
+    canvas.dockLayerList.setFloating(True)
+    click(cells, 2)
+    assert folded(viewer) == [False, True, True]
+    dock.bench.navigator.to_module()
+    assert folded(viewer) == [False, True, False]
+
+
+def test_number_keys_and_clicks_swap_the_large_picture(opened: Opened, qtbot: QtBot) -> None:
+    _, _, cells, place = opened
+    click(cells, 1)
+    view = place.view
+    view.setFocus()
+    qtbot.waitUntil(view.hasFocus, timeout=2000)
+    QTest.keyClick(view, "4")
+    assert view.grid.large is view.support_panel
+    assert view.support_panel.width() > view.cell_panel.width()
+    QTest.mouseClick(view.cell_panel, LEFT, NONE, view.cell_panel.rect().center())
+    assert view.grid.large is view.cell_panel
+    QTest.keyClick(view, "3")
+    QTest.keyClick(view, "d")
+    assert view.grid.large is view.cell_panel, "the brush is for the large module image"
+    assert view.cell_panel.editable
+
+
+def test_another_task_brings_the_canvas_back(opened: Opened) -> None:
+    _, dock, cells, place = opened
+    dock.show_page("Review")
+    for leave in (lambda: dock.show_page("Grid"), dock.bench.navigator.to_frames):
+        click(cells, 1)
+        assert place.is_open
+        leave()
+        assert not place.is_open
+        dock.show_page("Review")
+
+
+def test_without_large_a_click_only_moves_the_view(opened: Opened) -> None:
+    _, dock, cells, place = opened
+    cells.large.setChecked(False)
+    click(cells, 2)
+    assert dock.bench.model.selected_cell == (0, 2)
+    assert not place.is_open
+
+
+def test_closing_the_window_while_a_cell_is_large_gives_the_docks_back(opened: Opened) -> None:
+    viewer, _, cells, place = opened
+    click(cells, 1)
+    viewer.close()
+    assert not place.is_open
