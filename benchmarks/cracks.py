@@ -46,6 +46,7 @@ from pv_inspect.cracks.labelled import LabelledCell, read_labelled, split_module
 from pv_inspect.cracks.reliability import reliability
 from pv_inspect.cracks.scores import coarse_score, pixel_score, roc_auc
 from pv_inspect.frame_files import FrameFile, read_frame
+from pv_inspect.generators import result_of
 from pv_inspect.results import Result, read_result
 from pv_inspect.settings import Settings
 
@@ -170,12 +171,8 @@ def probability_of(image: Image, result: Result, detector: CrackDetector) -> tup
         [image[result.grid.cell_slices(i, j)] for j in range(layout.cols)]
         for i in range(layout.rows)
     ]
-    work = read_cracks(CellTiles(np.array(cells), result.grid), Settings(), detector)
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value.probability, end.value.threshold
+    found = result_of(read_cracks(CellTiles(np.array(cells), result.grid), Settings(), detector))
+    return found.probability, found.threshold
 
 
 def sequence_rows(

@@ -30,7 +30,6 @@ import json
 import multiprocessing
 import sys
 import tempfile
-from collections.abc import Generator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -47,6 +46,7 @@ from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.camera import Camera
 from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.registration import Registration, module_mean, register
@@ -123,16 +123,6 @@ class Score:
         return self.between[0] / self.bound
 
 
-def finish(generator: Generator[float, None, T]) -> T:
-    """Drive a stage to its end."""
-    while True:
-        try:
-            next(generator)
-        except StopIteration as done:
-            result: T = done.value
-            return result
-
-
 def measured(source: Path, truth: Truth, settings: Settings, name: str) -> Score:
     """Run the stages on one sequence and compare with the truth."""
     wall, cpu = [perf_counter()], [process_time()]
@@ -144,14 +134,14 @@ def measured(source: Path, truth: Truth, settings: Settings, name: str) -> Score
     sequence = Sequence.open(source)
     layout = sequence.layout(settings)
     tick()
-    crossings = finish(detect(sequence, layout))
+    crossings = result_of(detect(sequence, layout))
     tick()
     calibration = calibrate(crossings, sequence.shape, settings)
     tick()
     if settings.registration_model == "homography":
-        registration = finish(register_by_homography(sequence, crossings, settings))
+        registration = result_of(register_by_homography(sequence, crossings, settings))
     else:
-        registration = finish(register(sequence, calibration, settings))
+        registration = result_of(register(sequence, calibration, settings))
     tick()
     valid = np.array([H is not None for H in truth.homographies])
     f, kappa = registration.camera.K[0, 0], registration.camera.kappa

@@ -25,7 +25,7 @@ import multiprocessing
 import resource
 import sys
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,6 +38,7 @@ import tifffile
 from pv_inspect.calibration import calibrate
 from pv_inspect.camera import Camera
 from pv_inspect.detection import detect
+from pv_inspect.generators import result_of
 from pv_inspect.preview import Preview, Region
 from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration import Registration, register
@@ -61,29 +62,19 @@ class Cost:
     converged: bool
 
 
-def drained(work: Generator[Any, None, T]) -> T:
-    """Run a stage to its end."""
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            result: T = end.value
-            return result
-
-
 def registered(folder: Path) -> tuple[Sequence, Registration]:
     """Open a sequence and register it with the default settings."""
     sequence, settings = Sequence.open(folder), Settings()
-    crossings = drained(detect(sequence, sequence.layout(settings)))
+    crossings = result_of(detect(sequence, sequence.layout(settings)))
     calibration = calibrate(crossings, sequence.shape, settings)
-    return sequence, drained(register(sequence, calibration, settings))
+    return sequence, result_of(register(sequence, calibration, settings))
 
 
 def cost_of(folder: Path, registration: Registration, settings: Settings) -> Cost:
     """Reconstruct in this process and say what it took."""
     sequence = Sequence.open(folder)
     wall, cpu = perf_counter(), process_time()
-    made = drained(reconstruct(sequence, registration, settings))
+    made = result_of(reconstruct(sequence, registration, settings))
     wall, cpu = perf_counter() - wall, process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MIB_PER_MAXRSS
     return Cost(wall, cpu, peak, made.image.size / 1e6, made.iterations, made.converged)
@@ -176,7 +167,7 @@ def preview(options: argparse.Namespace) -> None:
     print(f"{'ms, median / 95 %':14} {'first':>14} {'lambda':>14} {'PSF':>14}")
     for folder in options.sequences:
         sequence, registration = registered(folder)
-        whole = drained(reconstruct(sequence, registration, Settings()))
+        whole = result_of(reconstruct(sequence, registration, Settings()))
         layout = registration.layout
         rng = np.random.default_rng(0)
         view = Preview(sequence, registration, whole)
@@ -209,7 +200,7 @@ def frames(options: argparse.Namespace) -> None:
     for folder in options.sequences:
         sequence, registration = registered(folder)
         found = [
-            score(folder, registration, drained(reconstruct(sequence, some, Settings())))
+            score(folder, registration, result_of(reconstruct(sequence, some, Settings())))
             for some in (first_frames(registration, n) for n in (5, 10, 20))
         ]
         print(f"{folder.name:14}" + "".join(f" {f:10.2f}" for f in found), flush=True)
@@ -223,14 +214,14 @@ def prior_weights(options: argparse.Namespace) -> None:
     print(f"{'flat PSNR, dB':14} {'lambda':>7} {'auto':>7}{head}  best - auto")
     for folder in options.sequences:
         sequence, registration = registered(folder)
-        made = drained(reconstruct(sequence, registration, Settings()))
+        made = result_of(reconstruct(sequence, registration, Settings()))
         auto = score(folder, registration, made)
         fixed = Settings(psf_sigma_lr_px=made.psf_sigma_lr_px)
         found = [
             score(
                 folder,
                 registration,
-                drained(
+                result_of(
                     reconstruct(
                         sequence, registration, fixed.changed(prior_weight=f * made.prior_weight)
                     )
@@ -255,7 +246,7 @@ def magnifications(options: argparse.Namespace) -> None:
         first = int(np.flatnonzero(registration.used)[0])
         for magnification in (3.0, 4.0):
             settings = Settings(magnification=magnification)
-            made = drained(reconstruct(sequence, registration, settings))
+            made = result_of(reconstruct(sequence, registration, settings))
             single = replace(made, image=bicubic(sequence, registration, made.grid, first))
             before, after = (score(folder, registration, one) for one in (single, made))
             print(

@@ -24,6 +24,7 @@ import numpy as np
 import tifffile
 
 from pv_inspect.camera import Camera
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration import Registration
@@ -73,12 +74,12 @@ def solve(
     sequence: Sequence, registration: Registration, settings: Settings
 ) -> tuple[Reconstruction, int]:
     """Drain reconstruct() and count its solver steps."""
-    work, steps = reconstruct(sequence, registration, settings), 0
-    while True:
-        try:
-            steps += next(work).image is not None
-        except StopIteration as end:
-            return end.value, steps
+    images: list[bool] = []
+    made = result_of(
+        reconstruct(sequence, registration, settings),
+        lambda progress: images.append(progress.image is not None),
+    )
+    return made, sum(images)
 
 
 def main() -> None:

@@ -5,6 +5,10 @@ of the button until the grid of that frame is painted. *cpu*: of the window's th
 *blocked*: the longest time in which the window could not answer. *all frames*: until the fit of
 all frames is shown; it starts 0.3 s after the last edit. *in thread*: the longest block while that
 fit and the curve over kappa are computed and shown.
+
+*held*: the same point is dragged on by mouse events at 60 Hz, without a release: the longest block
+per event, repaint included; *held cpu* of the window's thread. *kappa*: the same while the slider
+of kappa goes from end to end.
 """
 
 from __future__ import annotations
@@ -14,36 +18,47 @@ import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.random import Generator
+from qtpy.QtCore import QPoint, Qt
+from qtpy.QtTest import QTest
 from workbench_window import Heartbeat, Times, opened, settle
 
+from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.model import RunState
 
 
 def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """Drag points, one after the other, in changing frames."""
+    """Drag points, one after the other, in changing frames; then kappa."""
     viewer, dock = opened(options.sequence)
     bench = dock.bench
     dock.module.detect.click()
     settle(120.0, lambda: bench.model.run_state is RunState.IDLE)
     settle(2.0)
     dock.points.select.click()
+    heart, times, rng = Heartbeat(), Times(), np.random.default_rng(0)
+    edits(viewer, dock, options.edits, heart, times, rng)
+    held(viewer, dock, heart, times, rng)
+    kappa(dock, heart, times)
+    viewer.close()
+    return times.summary()
+
+
+def edits(
+    viewer: Any, dock: InspectDock, n_edits: int, heart: Heartbeat, times: Times, rng: Generator
+) -> None:
+    """Move points at a stroke."""
+    bench = dock.bench
     points, grid = viewer.layers["Crossing points"], viewer.layers["Fitted grid"]
     painted: list[float] = []
     canvas = viewer.window._qt_viewer.canvas._scene_canvas
     canvas.events.draw.connect(lambda _: painted.append(time.perf_counter()), position="last")
     bent: list[float] = []
     grid.events.set_data.connect(lambda _: bent.append(time.perf_counter()))
-    heart, times, rng = Heartbeat(), Times(), np.random.default_rng(0)
-    n_frames, n = len(bench.model.sequence), bench.model.inspection.layout.n_crossings
-    for number in range(options.edits):
-        frame = int(rng.integers(n_frames))
-        viewer.dims.set_current_step(0, frame)
-        settle(0.4)
-        row = frame * n + int(rng.integers(n))
-        points.selected_data = {row}
-        points._set_drag_start(points.selected_data, points.data[row])
+    for number in range(n_edits):
+        row = take(viewer, dock, rng)
         heart.restart()
         bent.clear()
         begun, cpu = time.perf_counter(), time.thread_time()
@@ -52,7 +67,7 @@ def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         settle(2.0, lambda: bool(bent) and any(at > bent[0] for at in painted))
         shown = [at for at in painted if bent and at > bent[0]]
         if not shown:
-            sys.exit(f"Edit {number} in frame {frame} was not drawn.")
+            sys.exit(f"Edit {number} was not drawn.")
         times.add("redrawn", 1e3 * (shown[0] - begun))
         times.add("cpu", 1e3 * (time.thread_time() - cpu))
         times.add("blocked", heart.longest_ms)
@@ -62,8 +77,57 @@ def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         settle(1.0, lambda: not bench.kappa_curve.busy)
         times.add("in thread", heart.longest_ms)
         painted.clear()
-    viewer.close()
-    return times.summary()
+
+
+def take(viewer: Any, dock: InspectDock, rng: Generator) -> int:
+    """Go to some frame and select one of its points: its row in the layer."""
+    n, points = dock.bench.model.inspection.layout.n_crossings, viewer.layers["Crossing points"]
+    frame = int(rng.integers(len(dock.bench.model.sequence)))
+    viewer.dims.set_current_step(0, frame)
+    settle(0.4)
+    row = frame * n + int(rng.integers(n))
+    points.selected_data = {row}
+    points._set_drag_start(points.selected_data, points.data[row])
+    return row
+
+
+def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Generator) -> None:
+    """Drag a point by the mouse, with the button down."""
+    canvas, points = viewer.window._qt_viewer.canvas.native, viewer.layers["Crossing points"]
+    dock.bench.navigator.to_frames()
+    _, row, col = points.data[take(viewer, dock, rng)]
+    settle(1.0)
+    (_, y, x), zoom = viewer.scene.camera.center, viewer.scene.camera.zoom
+    middle = canvas.rect().center()
+    start = QPoint(middle.x() + round((col - x) * zoom), middle.y() + round((row - y) * zoom))
+    QTest.mouseMove(canvas, start)
+    settle(0.2)
+    QTest.mousePress(canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, start)
+    for k in range(1, 121):
+        heart.restart()
+        cpu = time.thread_time()
+        angle = k / 12.0
+        way = QPoint(round(9 * np.sin(angle)), round(9 * np.sin(1.3 * angle)))
+        QTest.mouseMove(canvas, start + way)
+        settle(1.0 / 60.0)
+        times.add("held", heart.longest_ms)
+        times.add("held cpu", 1e3 * (time.thread_time() - cpu))
+    if dock.bench.live.held_rms_px is None:
+        sys.exit("The grid did not follow the point under the hand.")
+    QTest.mouseRelease(canvas, Qt.MouseButton.LeftButton)
+    settle(2.0)
+
+
+def kappa(dock: InspectDock, heart: Heartbeat, times: Times) -> None:
+    """Drag the slider of kappa from end to end."""
+    slider = dock.lens.kappa.slider
+    for place in np.linspace(slider.minimum(), slider.maximum(), 240):
+        heart.restart()
+        cpu = time.thread_time()
+        slider.setValue(round(place))
+        settle(1.0 / 60.0)
+        times.add("kappa", heart.longest_ms)
+        times.add("kappa cpu", 1e3 * (time.thread_time() - cpu))
 
 
 def main(arguments: list[str]) -> None:

@@ -28,6 +28,7 @@ from napari_pv_inspect.cell_renderer import CellPicture, CellRenderer
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.live_dock import LiveDock
 from napari_pv_inspect.docks.live_place import show_live_cell
+from napari_pv_inspect.memory import few_arenas, left_alone
 from napari_pv_inspect.sample import sample_folder
 from pv_inspect.pipeline import Inspection, inspect, run_to_end
 from pv_inspect.sequence import Sequence
@@ -265,12 +266,14 @@ def main(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     sequence = Sequence.open(options.sequence or sample_folder())
     hint = {k: sequence.layout_hint.get(k) for k in ("rows", "cols", "cell_aspect")}
-    inspection = run_to_end(inspect(sequence, Settings(**hint)))
+    few_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
-    dock.bench.model.open(sequence)
-    print(report(*measure(dock, inspection)))
+    with left_alone():
+        inspection = run_to_end(inspect(sequence, Settings(**hint)))
+        dock.bench.model.open(sequence)
+        print(report(*measure(dock, inspection)))
     viewer.close()
     times = ", ".join(f"{name} {ms:.0f}" for name, ms in computing(inspection).items())
     print(f"processor time to the first picture, ms: {times}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,9 +15,11 @@ from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.memory import few_arenas
 from napari_pv_inspect.sample import sample_folder
 
 SIZE = (1280, 800)
+LIMIT_S = 30.0
 
 
 def settle(seconds: float, until: Callable[[], bool] | None = None) -> None:
@@ -71,11 +74,14 @@ class Times:
 
 
 def opened(sequence: Path | None) -> tuple[napari.Viewer, InspectDock]:
-    """Return a window with a sequence in it."""
+    """Return a window with a sequence in it, in a process as `application.run` keeps it."""
+    few_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
+    gc.freeze()
     settle(1.0)
     dock.bench.open(sequence or sample_folder())
+    settle(LIMIT_S, lambda: dock.bench.model.sequence is not None)
     settle(1.0)
     return viewer, dock

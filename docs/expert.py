@@ -11,9 +11,18 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from qtpy.QtCore import QPoint, Qt, QTimer
+from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
+from qtpy.QtGui import QDragEnterEvent, QDropEvent
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QAbstractItemView, QApplication, QFileDialog, QLineEdit, QSlider, QWidget
+from qtpy.QtWidgets import (
+    QAbstractItemView,
+    QAbstractSpinBox,
+    QApplication,
+    QFileDialog,
+    QLineEdit,
+    QSlider,
+    QWidget,
+)
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.model import RunState
@@ -109,6 +118,24 @@ class Expert:
         line.selectAll()
         QTest.keyClicks(line, text)
         QTest.keyClick(line, Qt.Key.Key_Return)
+        self.wait(0.1)
+
+    def fill_in(self, number: QAbstractSpinBox, value: float) -> None:
+        """Type a number into its field."""
+        self.press(number)
+        number.selectAll()
+        QTest.keyClicks(number, f"{value:g}")
+        QTest.keyClick(number, Qt.Key.Key_Return)
+        self.wait(0.1)
+
+    def drop(self, path: Path) -> None:
+        """Drop a file or folder on the canvas."""
+        data = QMimeData()
+        data.setUrls([QUrl.fromLocalFile(str(path))])
+        copy, middle = Qt.DropAction.CopyAction, self.canvas.rect().center()
+        # Qt delivers a drop only where the drag was let in.
+        QApplication.sendEvent(self.canvas, QDragEnterEvent(middle, copy, data, LEFT, NONE))
+        QApplication.sendEvent(self.canvas, QDropEvent(QPointF(middle), copy, data, LEFT, NONE))
         self.wait(0.1)
 
     def undo(self) -> None:

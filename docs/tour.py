@@ -1,9 +1,10 @@
 """An expert's session: drives the real application by mouse and keyboard through all its steps.
 
 xvfb-run -a -s "-screen 0 1600x1000x24" env QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 \
-        python docs/tour.py [--sequence FOLDER] [--out FOLDER]
+        python docs/tour.py [--sequence PATH [--rows N --cols N]] [--out FOLDER]
 
-Leaves a picture after each step in docs/tour. The test of the tour walks the same way.
+Leaves a picture after each step in docs/tour. The test of the tour walks the same way. Any other
+sequence can be walked through as well; its rows and columns are guessed unless they are given.
 """
 
 from __future__ import annotations
@@ -34,7 +35,12 @@ OUT = Path(__file__).parent / "tour"
 VERDICTS = (VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_B, VerdictKind.FINGER)
 
 
-def walk(open_viewer: Callable[[], Any], sequence: Path, out: Path) -> None:
+def walk(
+    open_viewer: Callable[[], Any],
+    sequence: Path,
+    out: Path,
+    layout: tuple[int, int] | None = None,
+) -> None:
     """Walk through all six steps; AssertionError where the workbench does not do what it should.
 
     Parameters
@@ -42,15 +48,18 @@ def walk(open_viewer: Callable[[], Any], sequence: Path, out: Path) -> None:
     open_viewer : callable
         Returns a napari viewer in a new window.
     sequence : Path
-        Folder with a folder ``frames``; what else it says about the module is not used.
+        Folder of frames, or with a folder ``frames``, or a TIFF of several pages; what else the
+        folder says about the module is not used.
     out : Path
         Folder of the pictures.
+    layout : (rows, cols), optional
+        Given by hand where the guess is none, or another one.
     """
     expert = Expert(open_viewer, out)
     with tempfile.TemporaryDirectory() as place:
         result = Path(place) / "result"
         expert.sit_down()
-        open_frames(expert, sequence, Path(place))
+        open_frames(expert, sequence, Path(place), layout)
         find_the_grid(expert)
         edit_a_point(expert)
         bend_the_grid(expert)
@@ -70,18 +79,50 @@ def walk(open_viewer: Callable[[], Any], sequence: Path, out: Path) -> None:
         expert.leave()
 
 
-def open_frames(expert: Expert, sequence: Path, place: Path) -> None:
-    """Open frames that come alone: rows and columns are guessed and confirmed."""
-    frames = place / sequence.name
-    shutil.copytree(sequence / "frames", frames)
-    steps = expert.dock.steps
-    expert.choose(lambda: expert.click(expert.dock.open_folder), frames)
-    expert.until(lambda: expert.model.sequence is not None, "the frames")
-    expert.until(lambda: expert.model.layout_is_guessed, "a guess of rows and columns")
+def open_frames(
+    expert: Expert, sequence: Path, place: Path, layout: tuple[int, int] | None
+) -> None:
+    """Open frames that come alone: rows and columns are guessed and confirmed, or given."""
+    steps, model, fields = expert.dock.steps, expert.model, expert.dock.module
+    frames = alone(sequence, place)
+    if frames.is_dir():
+        expert.choose(lambda: expert.click(expert.dock.open_folder), frames)
+    else:
+        expert.drop(frames)
+    expert.until(lambda: model.sequence is not None, "the frames")
+    expert.until(lambda: not model.guessing, "a guess of rows and columns")
     expert.photograph("1a-open")
-    assert steps.next.text().startswith("Confirm"), steps.next.text()
-    expert.click(steps.next)
-    assert not expert.model.layout_is_guessed
+    guess = model.settings.rows, model.settings.cols
+    if layout is not None and layout != guess:
+        expert.turn_to("Grid")
+        expert.fill_in(fields.rows, layout[0])
+        expert.fill_in(fields.cols, layout[1])
+    else:
+        assert model.layout_is_guessed, "the frames do not tell: give --rows and --cols"
+        assert steps.next.text().startswith("Confirm"), steps.next.text()
+        expert.click(steps.next)
+    assert not model.layout_is_guessed
+    assert layout in (None, (model.settings.rows, model.settings.cols))
+
+
+def alone(sequence: Path, place: Path) -> Path:
+    """Copy the frames of a sequence, and nothing that tells about them."""
+    copy = place / sequence.name
+    if sequence.is_file():
+        shutil.copy(sequence, copy)
+        return copy
+    inner = sequence / "frames"
+    copy.mkdir()
+    for image in (inner if inner.is_dir() else sequence).iterdir():
+        if image.suffix.lower() in {".tif", ".tiff", ".png"}:
+            shutil.copy(image, copy)
+    return copy
+
+
+def a_used_frame(expert: Expert) -> int:
+    """Return the fourth frame that is used, or the last one."""
+    used = [k for k, row in enumerate(expert.dock.frames.table.rows) if row.used]
+    return used[:4][-1]
 
 
 def find_the_grid(expert: Expert) -> None:
@@ -92,8 +133,10 @@ def find_the_grid(expert: Expert) -> None:
     assert expert.model.inspection.calibration is not None
     expert.turn_to("Frames")
     view = expert.dock.frames.view
-    expert.click_row(view, expert.dock.frames.sorted.index(3, 1))
-    assert expert.bench.frames.frame == 3
+    frame = a_used_frame(expert)
+    sorted_rows, table = expert.dock.frames.sorted, expert.dock.frames.table
+    expert.click_row(view, sorted_rows.mapFromSource(table.index(frame, 1)))
+    assert expert.bench.frames.frame == frame
     expert.photograph("1b-frames")
 
 
@@ -135,16 +178,17 @@ def leave_a_frame_out(expert: Expert) -> None:
     """Take the tick of a frame away, and give it back."""
     expert.turn_to("Frames")
     frames = expert.dock.frames
-    row = frames.table.rows[3]
-    index = frames.sorted.mapFromSource(frames.table.index(3, 0))
+    frame = a_used_frame(expert)
+    row = frames.table.rows[frame]
+    index = frames.sorted.mapFromSource(frames.table.index(frame, 0))
     expert.click_row(frames.view, index, from_left=9)
     assert (
         expert.model.settings.skip_frames == ticked(expert.model.settings, row, False).skip_frames
     )
-    assert not frames.table.rows[3].wanted
+    assert not frames.table.rows[frame].wanted
     expert.photograph("2d-frame-left-out")
     expert.click_row(frames.view, index, from_left=9)
-    assert frames.table.rows[3].wanted
+    assert frames.table.rows[frame].wanted
 
 
 def run_and_cancel(expert: Expert) -> None:
@@ -294,11 +338,18 @@ def _verdicts(folder: Path) -> dict[Cell, Verdict]:
 def main(arguments: list[str]) -> None:
     """Walk and leave the pictures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sequence", type=Path, help="folder of frames; the sample if not given")
+    parser.add_argument("--sequence", type=Path, help="frames; the sample if not given")
+    parser.add_argument("--rows", type=int, help="guessed if not given")
+    parser.add_argument("--cols", type=int, help="guessed if not given")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(arguments)
+    if (options.rows is None) != (options.cols is None):
+        parser.error("give both --rows and --cols, or none")
     walk(
-        lambda: napari.Viewer(title="pv-inspect"), options.sequence or sample_folder(), options.out
+        lambda: napari.Viewer(title="pv-inspect"),
+        options.sequence or sample_folder(),
+        options.out,
+        None if options.rows is None else (options.rows, options.cols),
     )
 
 

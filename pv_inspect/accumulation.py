@@ -85,7 +85,7 @@ class Accumulation:
         self.equations.add(H, g, weights, motion)
         return g, weights
 
-    def compare(self, image: Image) -> Generator[int, None, tuple[Image, Array]]:
+    def compare(self, image: Image) -> Generator[float, None, tuple[Image, Array]]:
         """Compare all frames in use with an image of the module.
 
         Parameters
@@ -94,8 +94,8 @@ class Accumulation:
 
         Yields
         ------
-        int
-            The frame that was compared.
+        float
+            Share of the frames that are compared.
 
         Returns
         -------
@@ -109,7 +109,8 @@ class Accumulation:
         blurred = model.blur.apply(image)
         gathered = Consistency(model.grid)
         rms = np.full(len(registration.used), np.nan)
-        for i in np.flatnonzero(registration.used):
+        used = np.flatnonzero(registration.used)
+        for k, i in enumerate(used):
             frame = model.frame(registration.homographies[i], self.motion[i])
             g, weights = observed(self.sequence, registration, int(i), self.photometry)
             predicted = frame.sample(blurred)
@@ -119,5 +120,5 @@ class Accumulation:
                 residual.astype(np.float32),
                 (weights > 0) & (predicted != 0),
             )
-            yield int(i)
+            yield (k + 1) / used.size
         return gathered.map(), rms

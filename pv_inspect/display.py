@@ -88,13 +88,6 @@ def result_html(result: Result) -> str:
     str
         Picture of the module with the cracks, numbers, warnings.
     """
-    cracks = CrackMap(
-        result.cracks,
-        result.crack_threshold,
-        result.detector,
-        result.cells,
-        result.least_extent_cells,
-    )
     used = sum(frame.used for frame in result.frames)
     rms = _median(np.array([frame.residual for frame in result.frames]))
     rows = [
@@ -104,7 +97,7 @@ def result_html(result: Result) -> str:
         *_image_rows(rms, result.psf_sigma_lr_px, result.prior_weight, result.grid),
         _crack_row(result.cells),
     ]
-    picture = _picture(result.image, result.grid, cracks)
+    picture = _picture(result.image, result.grid, result.crack_map)
     return _html(result.folder.name, picture, rows, [], result.warnings)
 
 

@@ -49,27 +49,41 @@ class SensorRays:
     per_px: Array
 
     @classmethod
-    def of(cls, camera: Camera, shape: tuple[int, int]) -> SensorRays:
-        """Trace the pixels of a sensor of shape (height, width).
+    def of(
+        cls, camera: Camera, shape: tuple[int, int], window: tuple[slice, slice] | None = None
+    ) -> SensorRays:
+        """Trace the pixels of a sensor.
+
+        Parameters
+        ----------
+        camera : Camera
+        shape : (height, width)
+        window : [row, col] slices, optional
+            The part of the sensor that is wanted.
 
         Notes
         -----
         d ray / d pixel = (K_2 A)^-1 with A = (1 + kappa u^T u) I + 2 kappa u u^T, the derivative of
-        Eqs. 4 and 5.
+        Eqs. 4 and 5. A is symmetric, and K_2^-1 has no entry below its diagonal.
         """
-        y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
-        u = camera.undistort(camera.to_normalised(np.stack([x, y], axis=-1)))
-        a = (1.0 + camera.kappa * (u**2).sum(-1))[..., None, None] * np.eye(2)
-        a += 2.0 * camera.kappa * u[..., :, None] * u[..., None, :]
-        lens = np.empty_like(a)
-        determinant = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
+        window = window or (slice(None), slice(None))
+        rows, cols = (np.arange(n, dtype=np.float64)[s] for n, s in zip(shape, window, strict=True))
+        px = np.empty((len(rows), len(cols), 2))
+        px[..., 0], px[..., 1] = cols, rows[:, None]
+        xy = camera.undistort(camera.to_normalised(px))
+        u, v = xy[..., 0], xy[..., 1]
+        kappa = camera.kappa
+        across, uu, vv = 2.0 * kappa * u * v, kappa * u * u, kappa * v * v
+        a, d = 1.0 + 3.0 * uu + vv, 1.0 + uu + 3.0 * vv
+        (k00, k01), (_, k11) = np.linalg.inv(camera.K[:2, :2])
+        per_px = np.empty((*u.shape, 2, 2))
         with np.errstate(divide="ignore", invalid="ignore"):
-            lens[..., 0, 0], lens[..., 1, 1] = a[..., 1, 1], a[..., 0, 0]
-            lens[..., 0, 1], lens[..., 1, 0] = -a[..., 0, 1], -a[..., 1, 0]
-            lens /= determinant[..., None, None]
-        per_px: Array = lens @ np.linalg.inv(camera.K[:2, :2])
-        traced = np.asarray(np.isfinite(per_px).all((-2, -1)))
-        xy = np.where(traced[..., None], u, np.nan)
+            scale = 1.0 / (a * d - across * across)
+            per_px[..., 0, 0] = scale * d * k00
+            per_px[..., 0, 1] = scale * (d * k01 - across * k11)
+            per_px[..., 1, 0] = -scale * across * k00
+            per_px[..., 1, 1] = scale * (a * k11 - across * k01)
+        xy[~np.isfinite(scale)] = np.nan
         return cls(xy, per_px)
 
     def cut(self, window: tuple[slice, slice]) -> SensorRays:

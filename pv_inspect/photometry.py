@@ -42,6 +42,8 @@ _HUBER = 4.0
 # doesn't know it is 1.5, with another module in it 5 and more.
 _WHOLE_FRAME = 2.0
 _MAD_TO_SIGMA = 1.4826
+# Gaussian that the light is smoothed with before the noise is read off it, and where it ends.
+_SMOOTH_LR_PX, _REACH = 1.0, 4
 # HR pixels between the points that the mean vignetting is computed at.
 _COARSE = 16
 
@@ -83,6 +85,7 @@ def observed(
     registration: Registration,
     frame: int,
     photometry: Photometry | None = None,
+    part: tuple[slice, slice] | None = None,
 ) -> tuple[Image, Image]:
     """Map a frame to the module's intensities.
 
@@ -93,6 +96,8 @@ def observed(
     frame : int
     photometry : Photometry, optional
         The sensor's part; an ideal one if not given.
+    part : [row, col] slices with a start and a stop, optional
+        Where in the frame; everywhere if not given.
 
     Returns
     -------
@@ -102,15 +107,19 @@ def observed(
         1 / variance of g; 0 for pixels that are not valid.
     """
     ready = sequence.frame(frame)
-    g = ready.image - np.float32(registration.offset[frame])
+    rows, cols = part or (slice(0, ready.image.shape[0]), slice(0, ready.image.shape[1]))
+    g = ready.image[rows, cols] - np.float32(registration.offset[frame])
     scale = np.full(g.shape, registration.gain[frame], np.float32)
     if photometry is not None:
-        g -= photometry.offsets[frame]
-        scale *= photometry.response
+        g -= photometry.offsets[frame, cols]
+        scale *= photometry.response[rows, cols]
     # The variance follows the light, not the pixel's own noise.
-    smooth = cv2.GaussianBlur(ready.image, (0, 0), 1.0)
+    top, left = max(rows.start - _REACH, 0), max(cols.start - _REACH, 0)
+    around = ready.image[top : rows.stop + _REACH, left : cols.stop + _REACH]
+    smooth = cv2.GaussianBlur(around, (2 * _REACH + 1, 2 * _REACH + 1), _SMOOTH_LR_PX)
+    smooth = smooth[rows.start - top :, cols.start - left :][: g.shape[0], : g.shape[1]]
     weights = np.square(scale / sequence.noise.sigma(smooth))
-    weights[~ready.valid] = 0.0
+    weights[~ready.valid[rows, cols]] = 0.0
     return (g / scale).astype(np.float32), weights.astype(np.float32)
 
 

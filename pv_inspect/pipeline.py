@@ -19,6 +19,7 @@ from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.crossings import Crossings
 from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import relayed, result_of
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import guess_layout, is_known
@@ -35,6 +36,9 @@ __all__ = ["Inspection", "Step", "inspect", "run_to_end"]
 
 Part = Crossings | Calibration | Registration | Reconstruction | CellTiles | CrackMap
 T = TypeVar("T")
+
+CONTRADICTION = 2.5
+"""Median residual of the frames, in units of their noise, from which on the user is warned."""
 
 # The field of Inspection that a stage fills, and roughly what share of a run it takes.
 _FIELD: dict[Stage, str] = {
@@ -293,12 +297,7 @@ def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
         from pv_inspect.progress import follow
 
         return follow(steps)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            result: Inspection = end.value
-            return result
+    return result_of(steps)
 
 
 def _layout(
@@ -338,17 +337,12 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
     if stage is Stage.RECONSTRUCT:
         registration = _present(state.registration)
         _need_a_frame(sequence, _reasons(registration), state.layout)
-        work = reconstruct(sequence, registration, settings)
-        try:
-            while True:
-                try:
-                    progress = next(work)
-                except StopIteration as end:
-                    reconstruction: Reconstruction = end.value
-                    return reconstruction
-                yield progress.fraction, progress.message, progress.image
-        finally:
-            work.close()
+        return (
+            yield from relayed(
+                reconstruct(sequence, registration, settings),
+                lambda progress: (progress.fraction, progress.message, progress.image),
+            )
+        )
     if stage is Stage.CELLS:
         yield 0.0, "cutting the module into cells", None
         return cut_cells(_present(state.reconstruction))
@@ -358,16 +352,7 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
 
 def _told(work: Generator[float, None, T], message: str) -> Generator[_Event, None, T]:
     """Turn the bare fractions of a stage into events with a message."""
-    try:
-        while True:
-            try:
-                fraction = next(work)
-            except StopIteration as end:
-                result: T = end.value
-                return result
-            yield fraction, message, None
-    finally:
-        work.close()
+    return (yield from relayed(work, lambda fraction: (fraction, message, None)))
 
 
 def _present(part: T | None) -> T:
@@ -428,6 +413,13 @@ def _warnings(state: Inspection) -> tuple[str, ...]:
     if n_used == 1:
         which = "1 frame" if len(reasons) == 1 else f"1 frame of {len(reasons)} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
+    residuals = [r for r in _present(state.reconstruction).residual_rms if np.isfinite(r)]
+    typical = float(np.median(residuals or [0.0]))
+    if n_used > 1 and typical > CONTRADICTION:
+        found.append(
+            f"The frames contradict the module image by {typical:.1f} times their noise, typically "
+            "1: check that all of them show the same module and that the grid fits them."
+        )
     found += [
         f"{name} is not used: {why.rstrip('.')}."
         for name, why in zip(names, reasons, strict=True)

@@ -18,7 +18,7 @@ from pv_inspect.motion import STILL, MovingFrame
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.psf import Blur
 
-__all__ = ["Judge", "View", "cut_view", "equations_of", "model_of", "split"]
+__all__ = ["Judge", "View", "cut_view", "equations_of", "model_of", "seen_part", "split"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -48,16 +48,10 @@ class View:
     motion: Array = field(default_factory=lambda: STILL)
 
 
-def cut_view(
-    camera: Camera,
-    H: Array,
-    rays: SensorRays,
-    window: HrGrid,
-    g: Image,
-    weights: Image,
-    motion: Array = STILL,
-) -> View | None:
-    """Cut what a frame sees of a window; None if it sees nothing of it."""
+def seen_part(
+    camera: Camera, H: Array, window: HrGrid, shape: tuple[int, int]
+) -> tuple[slice, slice] | None:
+    """Return the [row, col] slices of a frame (height, width) that see a window, or None."""
     h, w = window.shape
     t = np.linspace(0.0, 1.0, 9)
     rim = np.concatenate(
@@ -70,10 +64,25 @@ def cut_view(
     if not np.isfinite(px).all():
         return None
     low = np.maximum(np.floor(px.min(0)).astype(int) - 1, 0)
-    high = np.minimum(np.ceil(px.max(0)).astype(int) + 2, [g.shape[1], g.shape[0]])
+    high = np.minimum(np.ceil(px.max(0)).astype(int) + 2, [shape[1], shape[0]])
     if (high - low < 4).any():
         return None
-    part = (slice(low[1], high[1]), slice(low[0], high[0]))
+    return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+
+def cut_view(
+    camera: Camera,
+    H: Array,
+    rays: SensorRays,
+    window: HrGrid,
+    g: Image,
+    weights: Image,
+    motion: Array = STILL,
+) -> View | None:
+    """Cut what a frame sees of a window; None if it sees nothing of it."""
+    part = seen_part(camera, H, window, (g.shape[0], g.shape[1]))
+    if part is None:
+        return None
     return View(
         H,
         rays.cut(part),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass, replace
 
 import cv2
@@ -22,7 +23,7 @@ from pv_inspect.layout import HrGrid
 from pv_inspect.motion import STILL, motion_of
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.photometry import huber_weights, observed
-from pv_inspect.prediction import View, cut_view
+from pv_inspect.prediction import View, seen_part
 from pv_inspect.reconstruction import TYPICAL_SIGMA_LR_PX, Reconstruction, brightness_of
 from pv_inspect.registration import Registration, module_mean
 from pv_inspect.sequence import Sequence
@@ -162,7 +163,6 @@ class Preview:
             self._known_grid = HrGrid.covering(registration.layout, scale, 1.0)
             self._known = module_mean(sequence, registration, self._known_grid)[0]
         self._brightness = brightness_of(self._known, self._known_grid)
-        self._rays = SensorRays.of(registration.camera, sequence.shape)
         self._seen: tuple[Region, str] | None = None
         self._views: list[View] = []
         self._built_for: tuple[HrGrid, float] | None = None
@@ -173,10 +173,12 @@ class Preview:
     def moved(self, registration: Registration) -> Preview:
         """Return the preview for another geometry, after a change of kappa say.
 
-        It starts from the image that this one has.
+        It starts from the image that this one has; what is known of the whole module stays.
         """
-        other = Preview(self._sequence, registration, self._whole)
-        other._image, other._image_grid = self._image, self._image_grid
+        other = copy(self)
+        other._registration = registration
+        other._seen, other._views = None, []
+        other._built_for = other._equations = None
         return other
 
     def show(self, region: Region, settings: Settings) -> RegionImage:
@@ -269,21 +271,32 @@ class Preview:
 
     def _cut(self, grid: HrGrid, region: Region, still: bool) -> list[View]:
         """What every frame sees of the region."""
-        registration, whole = self._registration, self._whole
-        photometry = None if whole is None else whole.photometry
-        views = []
-        for i in np.flatnonzero(registration.used):
-            g, weights = observed(self._sequence, registration, int(i), photometry)
-            H = registration.homographies[i]
-            motion = STILL if still or whole is None else motion_of(*whole.motion[i])
-            view = cut_view(registration.camera, H, self._rays, grid, g, weights, motion)
-            if view is not None:
-                views.append(view)
-        if not views:
+        registration, whole, sequence = self._registration, self._whole, self._sequence
+        camera, photometry = registration.camera, None if whole is None else whole.photometry
+        seen = {}
+        for i in np.flatnonzero(registration.used).tolist():
+            part = seen_part(camera, registration.homographies[i], grid, sequence.shape)
+            if part is not None:
+                seen[i] = part
+        if not seen:
             raise InspectionError(
                 f"No frame that is used shows the cell in row {region.row}, column {region.col}: "
                 "choose another cell."
             )
+        # The rays of a pixel are the same in all frames.
+        top, left = (min(part[axis].start for part in seen.values()) for axis in (0, 1))
+        bottom, right = (max(part[axis].stop for part in seen.values()) for axis in (0, 1))
+        rays = SensorRays.of(camera, sequence.shape, (slice(top, bottom), slice(left, right)))
+        views = []
+        for i, (rows, cols) in seen.items():
+            g, weights = observed(sequence, registration, i, photometry, (rows, cols))
+            motion = STILL if still or whole is None else motion_of(*whole.motion[i])
+            within = (
+                slice(rows.start - top, rows.stop - top),
+                slice(cols.start - left, cols.stop - left),
+            )
+            H = registration.homographies[i]
+            views.append(View(H, rays.cut(within), g, weights, motion))
         return views
 
     def _built(self, grid: HrGrid, sigma: float) -> NormalEquations:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
+from pv_inspect.generators import relayed, result_of
 from pv_inspect.notebook import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.settings import Stage
@@ -33,7 +34,7 @@ def follow(steps: Generator[Step, None, Inspection], quiet: bool = False) -> Ins
     -------
     Inspection
     """
-    return _drive(_as_events(steps), quiet)
+    return _drive(relayed(steps, _event), quiet)
 
 
 def follow_fraction(work: Generator[float, None, T], what: str, quiet: bool = False) -> T:
@@ -47,56 +48,29 @@ def follow_fraction(work: Generator[float, None, T], what: str, quiet: bool = Fa
     quiet : bool
         Show nothing.
     """
-
-    def events() -> Generator[_Event, None, T]:
-        while True:
-            try:
-                yield what, next(work), what, False
-            except StopIteration as end:
-                result: T = end.value
-                return result
-
-    return _drive(events(), quiet)
+    return _drive(relayed(work, lambda fraction: (what, fraction, what, False)), quiet)
 
 
 # (what is at work, fraction of the whole, message, whether the message closes a stage)
 _Event = tuple[str, float, str, bool]
 
 
-def _as_events(steps: Generator[Step, None, Inspection]) -> Generator[_Event, None, Inspection]:
-    while True:
-        try:
-            step = next(steps)
-        except StopIteration as end:
-            result: Inspection = end.value
-            return result
-        # During the reconstruction `partial` is a preview; only a whole part ends a stage.
-        unfinished = step.partial is None or isinstance(step.partial, np.ndarray)
-        ends = step.stage is Stage.LOAD or not unfinished
-        yield step.stage.value, step.fraction, step.message, ends
+def _event(step: Step) -> _Event:
+    # During the reconstruction `partial` is a preview; only a whole part ends a stage.
+    unfinished = step.partial is None or isinstance(step.partial, np.ndarray)
+    ends = step.stage is Stage.LOAD or not unfinished
+    return step.stage.value, step.fraction, step.message, ends
 
 
 def _drive(events: Generator[_Event, None, T], quiet: bool) -> T:
     console = Console(stderr=True)
-    try:
-        if quiet:
-            return _last(events)
-        if in_notebook():
-            return _with_notebook_bar(events)
-        if console.is_terminal:
-            return _with_bar(events, console)
-        return _with_lines(events, console)
-    finally:
-        events.close()
-
-
-def _last(events: Generator[_Event, None, T]) -> T:
-    while True:
-        try:
-            next(events)
-        except StopIteration as end:
-            result: T = end.value
-            return result
+    if quiet:
+        return result_of(events)
+    if in_notebook():
+        return _with_notebook_bar(events)
+    if console.is_terminal:
+        return _with_bar(events, console)
+    return _with_lines(events, console)
 
 
 def _with_bar(events: Generator[_Event, None, T], console: Console) -> T:
@@ -111,37 +85,37 @@ def _with_bar(events: Generator[_Event, None, T], console: Console) -> T:
     )
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
         task = bar.add_task("", total=1.0, stage="")
-        while True:
-            try:
-                stage, fraction, message, _ = next(events)
-            except StopIteration as end:
-                result: T = end.value
-                return result
+
+        def show(event: _Event) -> None:
+            stage, fraction, message, _ = event
             bar.update(task, completed=fraction, description=message, stage=stage)
+
+        return result_of(events, show)
 
 
 def _with_notebook_bar(events: Generator[_Event, None, T]) -> T:
     bar, message = NotebookBar(), ""
-    while True:
-        try:
-            _, fraction, message, _ = next(events)
-        except StopIteration as end:
-            bar.end(message)
-            result: T = end.value
-            return result
+
+    def show(event: _Event) -> None:
+        nonlocal message
+        _, fraction, message, _ = event
         bar.update(fraction, message)
+
+    result = result_of(events, show)
+    bar.end(message)
+    return result
 
 
 def _with_lines(events: Generator[_Event, None, T], console: Console) -> T:
     """One line per finished stage, and a sign of life at least every ten seconds."""
     told = perf_counter()
-    while True:
-        try:
-            stage, fraction, message, ends = next(events)
-        except StopIteration as end:
-            result: T = end.value
-            return result
+
+    def show(event: _Event) -> None:
+        nonlocal told
+        stage, fraction, message, ends = event
         if ends or perf_counter() - told > 10:
             told = perf_counter()
             line = f"{100 * fraction:3.0f} %  {stage:<12} {message}"
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    return result_of(events, show)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.accumulation import Accumulation
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import relayed
 from pv_inspect.held_out import Trial, choose_prior_weight, typical_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import length_and_angle
@@ -221,30 +222,23 @@ def solve(
     problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
     told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
     solver = minimise(problem, start, settings.max_iterations, _TOLERANCE, spectral=True)
-    while True:
-        try:
-            state = next(solver)
-        except StopIteration as end:
-            solution: Solution = end.value
-            break
+
+    def solving(state: Solution) -> Progress:
         share = 1 - np.exp(-state.iterations / _TYPICAL_STEPS)
         now = np.asarray(state.image, np.float32)
-        yield Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
+        return Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
+
+    solution = yield from relayed(solver, solving)
     image = np.asarray(solution.image, np.float32)
-    yield Progress(0.91, "asking what the frames have earned", image)
     faint = np.float32(FAINT * problem.brightness)
-    support = support_of(equations, lambda detail: problem.majoriser(image + faint * detail))
-    comparison = data.compare(image)
-    n = max(int(data.registration.used.sum()), 1)
-    k = 0
-    while True:
-        try:
-            next(comparison)
-        except StopIteration as end:
-            consistency, residual_rms = end.value
-            break
-        k += 1
-        yield Progress(0.95 + 0.05 * k / n, "comparing the frames with the result", image)
+    support = yield from relayed(
+        support_of(equations, lambda detail: problem.majoriser(image + faint * detail)),
+        lambda share: Progress(0.9 + 0.05 * share, "asking what the frames have earned", image),
+    )
+    consistency, residual_rms = yield from relayed(
+        data.compare(image),
+        lambda share: Progress(0.95 + 0.05 * share, "comparing the frames with the result", image),
+    )
     return Reconstruction(
         image,
         support,
@@ -335,13 +329,9 @@ def _first_look(
         look = np.asarray(state.image, np.float32)
         yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
     steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
-    while True:
-        try:
-            share = next(steps)
-        except StopIteration as end:
-            photometry: Photometry = end.value
-            break
-        yield Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
+    photometry = yield from relayed(
+        steps, lambda share: Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
+    )
     return photometry, look / mean_illumination(photometry, registration, model)
 
 
@@ -357,13 +347,12 @@ def _choose_prior_weight(
     registration: Registration, trials: list[Trial], sigma: float, prior: PriorName
 ) -> Generator[Progress, None, tuple[float, Curve]]:
     choice = choose_prior_weight(registration.camera, trials, sigma, prior)
-    while True:
-        try:
-            share = next(choice)
-        except StopIteration as end:
-            found: tuple[float, Curve] = end.value
-            return found
-        yield Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels")
+    return (
+        yield from relayed(
+            choice,
+            lambda share: Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels"),
+        )
+    )
 
 
 def _estimate_psf(
@@ -393,13 +382,8 @@ def _estimate_psf(
     if not views:
         return TYPICAL_SIGMA_LR_PX
     estimate = estimate_psf_sigma(camera, window, views)
-    while True:
-        try:
-            share = next(estimate)
-        except StopIteration as end:
-            sigma: float = end.value
-            return sigma
-        yield Progress(0.25 + 0.15 * share, "estimating the PSF")
+    told = "estimating the PSF"
+    return (yield from relayed(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))
 
 
 def brightness_of(image: Image, grid: HrGrid) -> float:

@@ -174,8 +174,10 @@ def register(
             if straight is not None:
                 state = anchor = straight
                 rays = _rays(state.camera, sequence.shape)
+            yield done / total
         grid = HrGrid.covering(state.layout, lr_px_per_unit, plan.magnification, 0.1)
         reference, covered = module_mean(sequence, state, grid)
+        yield done / total
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
         rms = np.full(len(sequence), np.nan)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
-from pv_inspect.cracks import CLASS_RULE, CellFeatures, OperatingPoint
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap, OperatingPoint
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
@@ -139,6 +139,17 @@ class Result:
     prior_weight: float = float("nan")
     psf_sigma_lr_px: float = float("nan")
     record: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def crack_map(self) -> CrackMap:
+        """The cracks as the stage that looked for them gave them."""
+        return CrackMap(
+            self.cracks,
+            self.crack_threshold,
+            self.detector,
+            self.cells,
+            self.least_extent_cells,
+        )
 
     def __repr__(self) -> str:
         layout = self.grid.layout

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pv_inspect.cells import cut_cells
-from pv_inspect.cracks import CrackMap
 from pv_inspect.errors import InspectionError
 from pv_inspect.origin import places, read_geometry
 from pv_inspect.pipeline import Inspection
@@ -98,13 +97,6 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
             for a, b in record["lambda_curve"]
         ),
     )
-    cracks = CrackMap(
-        result.cracks,
-        result.crack_threshold,
-        str(record["crack_detector"]),
-        result.cells,
-        result.least_extent_cells,
-    )
     crossings, calibration = read_geometry(result.folder, layout)
     seconds = {stage: t for stage, t in result.seconds.items() if stage != "total"}
     return Inspection(
@@ -116,7 +108,7 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
         registration,
         reconstruction,
         cut_cells(reconstruction),
-        cracks,
+        result.crack_map,
         seconds,
         result.warnings,
     )

@@ -12,7 +12,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from pv_inspect.cracks import CellFeatures, CrackMap
+from pv_inspect.cracks import CellFeatures
 from pv_inspect.folders import replace_file
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.report import with_review_state
@@ -182,14 +182,7 @@ def _content(
 
 def _marks(result: Result, corrected: Mapping[Cell, Mask]) -> NDArray[np.float32]:
     """1 on the marks of cracks, a person's where there are some."""
-    cracks = CrackMap(
-        result.cracks,
-        result.crack_threshold,
-        result.detector,
-        result.cells,
-        result.least_extent_cells,
-    )
-    marks = crack_mask(cracks, result.grid)
+    marks = crack_mask(result.crack_map, result.grid)
     for cell in result.cells:
         part = marks[result.grid.cell_slices(cell.row, cell.col)]
         drawn = corrected.get((cell.row, cell.col))

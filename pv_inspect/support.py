@@ -9,7 +9,7 @@ structure: L is that of the image with as much of the pattern in it as arrives.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import cv2
 import numpy as np
@@ -65,7 +65,9 @@ def probe(shape: tuple[int, int], magnification: float) -> Image:
     return np.ascontiguousarray(np.tile(tile, repeats)[:height, :width], dtype=np.float32)
 
 
-def support_of(equations: NormalEquations, prior_with: Callable[[Image], Quadratic]) -> Image:
+def support_of(
+    equations: NormalEquations, prior_with: Callable[[Image], Quadratic]
+) -> Generator[float, None, Image]:
     """Share of a detail just finer than the LR pixels that comes from the frames.
 
     Parameters
@@ -76,6 +78,11 @@ def support_of(equations: NormalEquations, prior_with: Callable[[Image], Quadrat
         Majoriser of the prior, on the scale of the equations, at the minimiser with a detail in it,
         (height, width) float32 in units of the probe's standard deviation. How faint the probe is
         is decided there: `FAINT` of the brightness of the module.
+
+    Yields
+    ------
+    float
+        Share of the work that is done.
 
     Returns
     -------
@@ -96,9 +103,10 @@ def support_of(equations: NormalEquations, prior_with: Callable[[Image], Quadrat
 
     diagonal = equations.diagonal
     # Nothing arrives where no frame looks: the first round begins with nothing.
-    u = _answer(equations, prior_with(z), diagonal, z, np.zeros_like(z))
-    for _ in range(_ROUNDS - 1):
-        u = _answer(equations, prior_with(u), diagonal, z, u)
+    u = np.zeros_like(z)
+    for done in range(_ROUNDS):
+        yield done / _ROUNDS
+        u = _answer(equations, prior_with(u if done else z), diagonal, z, u)
     sigma = _WINDOW_LR_PX * magnification
     answer = cv2.GaussianBlur(u * z, (0, 0), sigma)
     power = cv2.GaussianBlur(z * z, (0, 0), sigma)

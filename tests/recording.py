@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -86,12 +86,3 @@ def settings_with(**values: Any) -> Settings:
     return Settings.create(
         **{"magnification": 3.0, "psf_sigma_lr_px": SIGMA, "prior_weight": 0.5, **values}
     )
-
-
-def drain(work: Generator[Any, None, T]) -> T:
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            result: T = end.value
-            return result

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from pv_inspect.accumulation import Accumulation
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import SensorRays
 from pv_inspect.reconstruction import reconstruct, solve
 from pv_inspect.registration import Registration
 from pv_inspect.solver import first_guess
-from tests.recording import CAMERA, SHAPE, SIGMA, Frames, drain, recording, settings_with
+from tests.recording import CAMERA, SHAPE, SIGMA, Frames, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300, second_look=False, motion_blur="none")
 
@@ -42,14 +43,14 @@ def test_a_run_that_is_split_ends_like_one_that_is_not() -> None:
     sequence, registration, _ = recording(10)
     # Squares have one minimiser; the sparse prior has several, close to each other.
     convex = SETTINGS.changed(prior="tikhonov", prior_weight=0.05)
-    whole = drain(reconstruct(sequence, registration, convex))
+    whole = result_of(reconstruct(sequence, registration, convex))
     data = begun(sequence, registration)
     for i in range(6):
         data.add(i)
-    early = drain(solve(data, first_guess(data.equations), 0.05, convex))
+    early = result_of(solve(data, first_guess(data.equations), 0.05, convex))
     for i in range(6, 10):
         data.add(i)
-    late = drain(solve(data, early.image, 0.05, convex))
+    late = result_of(solve(data, early.image, 0.05, convex))
     # Around the module hardly anything holds the image in its place.
     inside = np.s_[25:-25, 25:-25]
     difference = float(np.sqrt(np.mean((late.image - whole.image)[inside] ** 2)))
@@ -58,7 +59,7 @@ def test_a_run_that_is_split_ends_like_one_that_is_not() -> None:
 
 def test_residuals_of_a_right_model_are_those_of_the_noise() -> None:
     sequence, registration, _ = recording(16)
-    result = drain(reconstruct(sequence, registration, SETTINGS))
+    result = result_of(reconstruct(sequence, registration, SETTINGS))
     h, w = result.image.shape
     inner = result.consistency[h // 3 : -h // 3, w // 3 : -w // 3]
     # The image follows a part of the noise, hence a little less than 1.
@@ -71,7 +72,7 @@ def test_a_frame_that_contradicts_the_others_is_seen_in_the_residuals() -> None:
     images = [image.copy() for image in sequence.images]
     images[4][28:36, 40:50] += 0.2
     wrong = Frames(tuple(images))
-    result = drain(reconstruct(wrong, registration, SETTINGS))  # type: ignore[arg-type]
+    result = result_of(reconstruct(wrong, registration, SETTINGS))  # type: ignore[arg-type]
     shown = result.consistency
     assert shown.max() > 2.0
     place = np.array(np.unravel_index(shown.argmax(), shown.shape))[::-1]
@@ -82,13 +83,13 @@ def test_a_frame_that_contradicts_the_others_is_seen_in_the_residuals() -> None:
 
 def test_an_insect_in_one_frame_leaves_no_trace_after_the_second_look() -> None:
     sequence, registration, _ = recording(12)
-    clean = drain(reconstruct(sequence, registration, SETTINGS))
+    clean = result_of(reconstruct(sequence, registration, SETTINGS))
     images = [image.copy() for image in sequence.images]
     images[4][30:34, 43:47] += 0.3
     wrong = Frames(tuple(images))
     twice = SETTINGS.changed(second_look=True)
     once, robust = (
-        drain(reconstruct(wrong, registration, s))  # type: ignore[arg-type]
+        result_of(reconstruct(wrong, registration, s))  # type: ignore[arg-type]
         for s in (SETTINGS, twice)
     )
     harm, left = (float(np.abs(r.image - clean.image).max()) for r in (once, robust))

@@ -14,19 +14,17 @@ from pv_inspect.crossings import Crossings, FrameCrossings, _side_shifts
 from pv_inspect.detection import detect
 from pv_inspect.edges import EdgeOffsets, cell_edges
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.sequence import Sequence
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 
 def _finish(generator: Any) -> Any:
-    fractions = []
-    while True:
-        try:
-            fractions.append(next(generator))
-        except StopIteration as done:
-            assert fractions == sorted(fractions)
-            return done.value
+    fractions: list[float] = []
+    result = result_of(generator, fractions.append)
+    assert fractions == sorted(fractions)
+    return result
 
 
 def _in_memory(frames: list[np.ndarray]) -> Any:

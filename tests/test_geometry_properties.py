@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +12,7 @@ import tifffile
 
 from pv_inspect.calibration import calibrate
 from pv_inspect.detection import detect
+from pv_inspect.generators import result_of
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -30,19 +30,10 @@ REPITCHED_PX = 2e-2
 """With the unit, the cell width, the pitch of the module image changes as well."""
 
 
-def finish(generator: Generator[float, None, T]) -> T:
-    while True:
-        try:
-            next(generator)
-        except StopIteration as done:
-            result: T = done.value
-            return result
-
-
 def located(sequence: Sequence, settings: Settings) -> Registration:
-    crossings = finish(detect(sequence, sequence.layout(settings)))
+    crossings = result_of(detect(sequence, sequence.layout(settings)))
     calibration = calibrate(crossings, sequence.shape, settings)
-    return finish(register(sequence, calibration, settings))
+    return result_of(register(sequence, calibration, settings))
 
 
 def crossings_px(registration: Registration) -> np.ndarray:

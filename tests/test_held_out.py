@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
 
 from pv_inspect.camera import Camera
+from pv_inspect.generators import result_of
 from pv_inspect.held_out import (
     CANDIDATES,
     Trial,
@@ -25,14 +23,6 @@ SHAPE = (56, 56)
 CAMERA = Camera(np.array([[200.0, 0, 27.5], [0, 200.0, 27.5], [0, 0, 1]]), 0.0)
 LAYOUT = ModuleLayout(2, 2)
 SIGMA, MAGNIFICATION = 0.45, 3.0
-
-
-def drain(work: Generator[Any, None, Any]) -> Any:
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
 
 
 def cells_on(grid: HrGrid) -> np.ndarray:
@@ -70,13 +60,13 @@ def recording(noise: float) -> tuple[Trial, ObservationModel, np.ndarray]:
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_weight_is_found_between_too_much_noise_and_too_much_blur(noise: float) -> None:
     trial, model, scene = recording(noise)
-    weight, curve = drain(choose_prior_weight(CAMERA, [trial], SIGMA))
+    weight, curve = result_of(choose_prior_weight(CAMERA, [trial], SIGMA))
     equations = NormalEquations.empty(model)
     for view in trial.views:
         equations.add(view.H, view.g, view.weights)
 
     def error(weight: float) -> float:
-        f = drain(minimise(Problem(equations, weight, 0.5), first_guess(equations), 60)).image
+        f = result_of(minimise(Problem(equations, weight, 0.5), first_guess(equations), 60)).image
         return float(np.sqrt(((f - scene)[12:-12, 12:-12] ** 2).mean()))
 
     found = error(weight)
@@ -94,12 +84,12 @@ def test_weight_is_found_between_too_much_noise_and_too_much_blur(noise: float) 
 @pytest.mark.parametrize("factor", [1.0, 1.07])
 def test_weight_suits_a_psf_that_is_right_or_somewhat_wide(factor: float) -> None:
     trial, _, scene = recording(0.005)
-    weight, _ = drain(choose_prior_weight(CAMERA, [trial], factor * SIGMA))
+    weight, _ = result_of(choose_prior_weight(CAMERA, [trial], factor * SIGMA))
     model = model_of(CAMERA, trial.grid, trial.views, factor * SIGMA)
     equations = equations_of(model, trial.views, [view.weights for view in trial.views])
 
     def error(weight: float) -> float:
-        f = drain(minimise(Problem(equations, weight, 0.5), first_guess(equations), 60)).image
+        f = result_of(minimise(Problem(equations, weight, 0.5), first_guess(equations), 60)).image
         return float(np.sqrt(((f - scene)[12:-12, 12:-12] ** 2).mean()))
 
     assert error(weight) < 1.1 * min(error(weight * f) for f in (0.25, 0.5, 1.0, 2.0, 4.0))
@@ -117,6 +107,6 @@ def test_windows_lie_inside_of_the_grid_and_show_the_same_places() -> None:
 
 def test_no_view_of_any_window_leaves_a_middle_weight_without_a_curve() -> None:
     grid = HrGrid.covering(LAYOUT, 22.0, 2.0)
-    weight, curve = drain(choose_prior_weight(CAMERA, [Trial(grid, ())], SIGMA))
+    weight, curve = result_of(choose_prior_weight(CAMERA, [Trial(grid, ())], SIGMA))
     assert curve == ()
     assert weight in CANDIDATES["wbtv"]

@@ -14,6 +14,7 @@ from pv_inspect.calibration import calibrate
 from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.detection import detect
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
@@ -29,15 +30,11 @@ T = TypeVar("T")
 
 
 def finish(generator: Generator[float, None, T]) -> T:
-    fractions = []
-    while True:
-        try:
-            fractions.append(next(generator))
-        except StopIteration as done:
-            assert fractions == sorted(fractions)
-            assert all(0 <= f <= 1 for f in fractions)
-            result: T = done.value
-            return result
+    fractions: list[float] = []
+    result = result_of(generator, fractions.append)
+    assert fractions == sorted(fractions)
+    assert all(0 <= f <= 1 for f in fractions)
+    return result
 
 
 @dataclass(frozen=True)

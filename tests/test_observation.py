@@ -164,3 +164,21 @@ def test_blur_keeps_a_constant_and_is_its_own_adjoint_at_the_border() -> None:
     rng = np.random.default_rng(5)
     a, b = rng.normal(size=(2, 12, 9))
     assert np.vdot(blur.apply(a), b) == pytest.approx(np.vdot(a, blur.apply(b)), rel=1e-11)
+
+
+@pytest.mark.parametrize("kappa", [-0.9, -0.1, 0.0, 0.2])
+def test_rays_of_a_part_of_the_sensor_are_those_of_the_whole(kappa: float) -> None:
+    camera = Camera(np.array([[60.0, 0.4, 48], [0, 62.0, 36], [0, 0, 1]]), kappa)
+    window = (slice(7, 33), slice(0, 41))
+    part, whole = SensorRays.of(camera, SHAPE, window), SensorRays.of(camera, SHAPE).cut(window)
+    np.testing.assert_allclose(part.xy, whole.xy, rtol=1e-14, atol=0)
+    np.testing.assert_allclose(part.per_px, whole.per_px, rtol=1e-12, atol=0)
+
+
+def test_rays_change_from_pixel_to_pixel_as_they_say() -> None:
+    camera = Camera(np.array([[60.0, 0.4, 48], [0, 62.0, 36], [0, 0, 1]]), -0.1)
+    rays = SensorRays.of(camera, SHAPE)
+    across = (rays.xy[1:-1, 2:] - rays.xy[1:-1, :-2]) / 2
+    down = (rays.xy[2:, 1:-1] - rays.xy[:-2, 1:-1]) / 2
+    numerical = np.stack([across, down], axis=-1)
+    np.testing.assert_allclose(numerical, rays.per_px[1:-1, 1:-1], atol=2e-5)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.camera import Camera
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.photometry import (
@@ -22,7 +23,7 @@ from pv_inspect.photometry import (
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import NoiseModel
 from pv_inspect.solver import Problem, first_guess, minimise
-from tests.recording import Frames, drain
+from tests.recording import Frames
 
 SHAPE = (112, 144)
 CAMERA = Camera(np.array([[300.0, 0, 71.5], [0, 300.0, 55.5], [0, 0, 1]]), -0.1)
@@ -42,7 +43,7 @@ class Made:
 
     def photometry(self) -> Photometry:
         still = np.zeros((len(self.sequence), 2))
-        return drain(
+        return result_of(
             estimate_photometry(self.sequence, self.registration, self.model, self.image, still)
         )
 
@@ -86,7 +87,7 @@ def recorded(
     for H, (g, weights) in zip(homographies, frames, strict=True):
         equations.add(H, g, weights)
     guess = first_guess(equations)
-    image = drain(minimise(Problem(equations, 0.5, 0.5), guess, 30)).image
+    image = result_of(minimise(Problem(equations, 0.5, 0.5), guess, 30)).image
     return Made(sequence, registration, wrong, np.asarray(image), frames)
 
 
@@ -166,7 +167,7 @@ def test_few_frames_are_not_corrected(
         r.layout, r.camera, r.homographies, np.arange(N) < 5, r.why, r.gain, r.offset, r.rms
     )
     still = np.zeros((len(made.sequence), 2))
-    found = drain(estimate_photometry(made.sequence, few, made.model, made.image, still))
+    found = result_of(estimate_photometry(made.sequence, few, made.model, made.image, still))
     np.testing.assert_array_equal(found.response, 1.0)
 
 
@@ -185,6 +186,25 @@ def test_observed_inverts_what_the_sensor_did() -> None:
     g, weights = observed(sequence, registration, 0, sensor)
     np.testing.assert_allclose(g, light, atol=1e-5)
     np.testing.assert_allclose(weights, (1.2 * response / NOISE) ** 2, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "part", [np.s_[0:20, 30:50], np.s_[40:41, 50:70], np.s_[80 : SHAPE[0], 100 : SHAPE[1]]]
+)
+def test_a_part_of_a_frame_is_observed_as_in_the_whole(part: tuple[slice, slice]) -> None:
+    rng = np.random.default_rng(25)
+    response = rng.uniform(0.7, 1.1, SHAPE).astype(np.float32)
+    offsets = rng.normal(0, 0.01, (1, SHAPE[1])).astype(np.float32)
+    registration = Registration(
+        LAYOUT, CAMERA, np.eye(3)[None], np.ones(1, bool), ("",), np.array([1.2]),
+        np.array([0.02]), np.ones(1),
+    )  # fmt: skip
+    sensor = Photometry(response, offsets, Photometry.ideal(1, SHAPE).vignetting, np.ones(SHAPE))
+    image = rng.uniform(0.1, 0.8, SHAPE).astype(np.float32)
+    sequence: Any = Frames([image], NoiseModel(NOISE**2, 0.01))
+    whole = observed(sequence, registration, 0, sensor)
+    for cut, expected in zip(observed(sequence, registration, 0, sensor, part), whole, strict=True):
+        np.testing.assert_allclose(cut, expected[part], rtol=1e-6)
 
 
 def test_mean_illumination_is_the_vignetting_where_the_frames_see_the_module(

@@ -11,6 +11,7 @@ import pytest
 from pv_inspect import pipeline
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
 from pv_inspect.reconstruction import Progress
@@ -36,6 +37,7 @@ class Stages:
         self.closed: list[str] = []
         self.crossings: Any = made_crossings()
         self.registration: Any = made_registration()
+        self.reconstruction: Any = made_reconstruction()
         for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
             monkeypatch.setattr(pipeline, name, getattr(self, name))
         monkeypatch.setattr(pipeline, "register_by_homography", self.register_by_homography)
@@ -73,7 +75,7 @@ class Stages:
         except GeneratorExit:
             self.closed.append("reconstruct")
             raise
-        return made_reconstruction()
+        return self.reconstruction
 
     def cut_cells(self, reconstruction: Any) -> Any:
         self.ran.append("cells")
@@ -121,14 +123,7 @@ def test_previews_of_the_reconstruction_come_through(stages: Stages) -> None:
 def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
     stages: Stages,
 ) -> None:
-    steps = inspect(SEQUENCE)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            seconds = end.value.seconds
-            break
-        time.sleep(0.02)
+    seconds = result_of(inspect(SEQUENCE), lambda _: time.sleep(0.02)).seconds
     assert set(seconds) == {stage.value for stage in Stage}
     # about a dozen steps of 0.02 s were held; the fakes themselves take next to nothing
     assert sum(seconds.values()) < 0.1
@@ -213,6 +208,12 @@ def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) ->
 def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
     result = run_to_end(inspect(SEQUENCE))
     assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
+
+
+def test_frames_that_do_not_fit_together_are_warned_about(stages: Stages) -> None:
+    stages.reconstruction = replace(made_reconstruction(), residual_rms=(6.0, float("nan"), 8.0))
+    told = run_to_end(inspect(SEQUENCE)).warnings
+    assert "contradict the module image by 7.0 times their noise" in told[0]
 
 
 def test_one_frame_works_and_is_called_no_super_resolution(stages: Stages) -> None:

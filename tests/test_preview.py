@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid
+from pv_inspect.observation import SensorRays
+from pv_inspect.photometry import observed
+from pv_inspect.prediction import cut_view
 from pv_inspect.preview import Preview, Region, bent
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration
-from tests.recording import LAYOUT, drain, recording, settings_with
+from tests.recording import LAYOUT, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300)
 
@@ -21,7 +25,7 @@ SETTINGS = settings_with(max_iterations=300)
 @pytest.fixture(scope="module")
 def made() -> tuple[Any, Registration, Reconstruction]:
     sequence, registration, _ = recording(12)
-    return sequence, registration, drain(reconstruct(sequence, registration, SETTINGS))
+    return sequence, registration, result_of(reconstruct(sequence, registration, SETTINGS))
 
 
 def cell_of(whole: Reconstruction, row: int, col: int) -> np.ndarray:
@@ -92,6 +96,26 @@ def test_another_geometry_shows_the_cell_elsewhere(
     inner = np.s_[y.start + 4 : y.stop - 4, x.start + 4 : x.stop - 4 - px]
     there = np.s_[y.start + 4 : y.stop - 4, x.start + 4 + px : x.stop - 4]
     assert np.corrcoef(after.image[inner].ravel(), before.image[there].ravel())[0, 1] > 0.9
+
+
+def test_a_region_sees_in_every_frame_what_is_cut_out_of_the_whole_frame(
+    made: tuple[Any, Registration, Reconstruction],
+) -> None:
+    sequence, registration, whole = made
+    view = Preview(sequence, bent(registration, registration.camera.kappa - 0.05), whole)
+    shown = view.show(Region(1, 2), SETTINGS)
+    camera = view._registration.camera
+    rays = SensorRays.of(camera, sequence.shape)
+    assert len(view._views) == len(sequence)
+    for i, found in enumerate(view._views):
+        H = view._registration.homographies[i]
+        g, weights = observed(sequence, registration, i, whole.photometry)
+        expected = cut_view(camera, H, rays, shown.grid, g, weights)
+        assert expected is not None
+        np.testing.assert_allclose(found.rays.xy, expected.rays.xy, rtol=1e-14)
+        np.testing.assert_allclose(found.rays.per_px, expected.rays.per_px, rtol=1e-12)
+        np.testing.assert_allclose(found.g, expected.g, rtol=1e-6)
+        np.testing.assert_allclose(found.weights, expected.weights, rtol=1e-6)
 
 
 @pytest.mark.parametrize("region", [Region(2, 0), Region(0, 3), Region(-1, 0), Region(0, 2, 1, 2)])

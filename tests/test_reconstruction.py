@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.prediction import View
@@ -25,7 +26,6 @@ from tests.recording import (
     SHAPE,
     SIGMA,
     Frames,
-    drain,
     recording,
     settings_with,
 )
@@ -58,7 +58,7 @@ def made() -> tuple[Any, Registration, np.ndarray, Reconstruction]:
         sequence,
         registration,
         scene,
-        drain(reconstruct(sequence, registration, settings_with(max_iterations=200))),
+        result_of(reconstruct(sequence, registration, settings_with(max_iterations=200))),
     )
 
 
@@ -94,7 +94,7 @@ def test_objective_falls_from_round_to_round(prior: str) -> None:
     sequence, registration, _ = recording(6)
     weight = {"wbtv": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
     settings = settings_with(max_iterations=600, prior=prior, prior_weight=weight)
-    result = drain(reconstruct(sequence, registration, settings))
+    result = result_of(reconstruct(sequence, registration, settings))
     objective = np.array(result.objective)
     assert len(objective) > 2
     assert (np.diff(objective) <= 1e-5 * objective[0]).all()
@@ -115,8 +115,8 @@ def test_stopping_rule_is_right_against_ten_times_the_steps(
     )
     equations = equations_of(sequence, registration, model)
     problem = Problem(equations, weight, 0.5)
-    short = drain(minimise(problem, first_guess(equations), 1000))
-    long = drain(minimise(problem, first_guess(equations), 10 * short.iterations, 0.0))
+    short = result_of(minimise(problem, first_guess(equations), 1000))
+    long = result_of(minimise(problem, first_guess(equations), 10 * short.iterations, 0.0))
     assert short.converged
     rms = [rms_inside(s.image, scene, result.grid) for s in (short, long)]
     assert abs(20 * np.log10(rms[0] / rms[1])) < 0.1
@@ -137,7 +137,7 @@ def test_frames_that_did_not_move_claim_no_support(
     made: tuple[Any, Registration, np.ndarray, Reconstruction],
 ) -> None:
     still, registration, _ = recording(16, moving=False)
-    result = drain(reconstruct(still, registration, settings_with(max_iterations=20)))
+    result = result_of(reconstruct(still, registration, settings_with(max_iterations=20)))
     h, w = result.support.shape
     inner = np.s_[h // 3 : -h // 3, w // 3 : -w // 3]
     # One sample per LR pixel is not nothing: it says a tenth of what lies beyond its own limit.
@@ -148,7 +148,7 @@ def test_frames_that_did_not_move_claim_no_support(
 @pytest.mark.parametrize("magnification", [1.0, 2.5, 6.0])
 def test_one_frame_and_any_magnification_work(magnification: float) -> None:
     sequence, registration, _ = recording(1)
-    result = drain(
+    result = result_of(
         reconstruct(
             sequence,
             registration,
@@ -164,7 +164,7 @@ def test_one_frame_and_any_magnification_work(magnification: float) -> None:
 def test_the_same_input_gives_the_same_image_to_the_last_bit() -> None:
     sequence, registration, _ = recording(4)
     settings = settings_with(max_iterations=12)
-    one, two = (drain(reconstruct(sequence, registration, settings)) for _ in range(2))
+    one, two = (result_of(reconstruct(sequence, registration, settings)) for _ in range(2))
     np.testing.assert_array_equal(one.image, two.image)
 
 
@@ -174,8 +174,8 @@ def test_a_brighter_recording_gives_the_same_image_brighter() -> None:
     darker = Frames(tuple(0.5 * image for image in sequence.images), noise)
     half = replace(registration, offset=0.5 * registration.offset)
     settings = settings_with(max_iterations=30)
-    bright = drain(reconstruct(sequence, registration, settings))
-    dark = drain(reconstruct(darker, half, settings))  # type: ignore[arg-type]
+    bright = result_of(reconstruct(sequence, registration, settings))
+    dark = result_of(reconstruct(darker, half, settings))  # type: ignore[arg-type]
     np.testing.assert_allclose(2 * dark.image, bright.image, atol=2e-4)
 
 
@@ -197,7 +197,7 @@ def test_no_usable_frame_is_one_clear_sentence() -> None:
     sequence, registration, _ = recording(2)
     none = replace(registration, used=np.zeros(2, bool))
     with pytest.raises(InspectionError, match="None of the 2 frames could be registered"):
-        drain(reconstruct(sequence, none, settings_with()))
+        result_of(reconstruct(sequence, none, settings_with()))
 
 
 def test_a_module_outside_of_all_frames_is_one_clear_sentence() -> None:
@@ -205,7 +205,7 @@ def test_a_module_outside_of_all_frames_is_one_clear_sentence() -> None:
     away = registration.homographies.copy()
     away[:, 0, 2] += 6.0
     with pytest.raises(InspectionError, match="None of the registered frames shows"):
-        drain(reconstruct(sequence, replace(registration, homographies=away), settings_with()))
+        result_of(reconstruct(sequence, replace(registration, homographies=away), settings_with()))
 
 
 def test_psf_width_is_found_from_held_out_pixels() -> None:
@@ -227,7 +227,7 @@ def test_psf_width_is_found_from_held_out_pixels() -> None:
             strict=True,
         )
     ]
-    assert drain(estimate_psf_sigma(CAMERA, grid, views)) == pytest.approx(SIGMA, rel=0.1)
+    assert result_of(estimate_psf_sigma(CAMERA, grid, views)) == pytest.approx(SIGMA, rel=0.1)
 
 
 def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:
@@ -242,7 +242,7 @@ def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:
         equations.add(H, image, weights)
     problem = Problem(equations, 1.0, 0.5)
     guess = first_guess(equations)
-    one = drain(minimise(problem, guess, 400, 1e-5))
-    two = drain(minimise(problem, np.full_like(guess, 0.3), 400, 1e-5))
+    one = result_of(minimise(problem, guess, 400, 1e-5))
+    two = result_of(minimise(problem, np.full_like(guess, 0.3), 400, 1e-5))
     assert one.objective[-1] == pytest.approx(two.objective[-1], rel=1e-3)
     assert rms_inside(one.image, two.image, grid) < 0.002

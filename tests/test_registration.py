@@ -13,6 +13,7 @@ from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equation
 from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.registration import Registration, module_mean, register, unregistered
 from pv_inspect.sequence import Sequence
@@ -20,14 +21,6 @@ from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence
 
 LAYOUT = ModuleLayout(4, 6)
-
-
-def _finish(generator: Any) -> Any:
-    while True:
-        try:
-            next(generator)
-        except StopIteration as done:
-            return done.value
 
 
 def _true_calibration(simulation: SimulatedSequence) -> Calibration:
@@ -83,7 +76,7 @@ def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
     sequence, truth, simulation = scene
     start = _disturbed(truth, 1.0)
     before = _interframe_px(unregistered(start), simulation)
-    registration = _finish(register(sequence, start, Settings()))
+    registration = result_of(register(sequence, start, Settings()))
     assert registration.used.all()
     assert before > 0.5
     assert _interframe_px(registration, simulation) < 0.02
@@ -103,7 +96,7 @@ def test_poses_stay_registered_where_there_are_too_few_frames_to_straighten(
         return align(*arguments)
 
     monkeypatch.setattr(registration_module, "_align", watched)
-    registration = _finish(register(sequence, few, Settings()))
+    registration = result_of(register(sequence, few, Settings()))
     last = replace(registration, homographies=np.array([*starts[-4:], *starts[-4:]]))
     assert _interframe_px(last, simulation) < 0.1
     assert _interframe_px(registration, simulation) < 0.03
@@ -114,7 +107,7 @@ def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration
     start = _disturbed(truth, 0.5, seed=4)
     camera = Camera(truth.camera.K, truth.camera.kappa + 0.01)
     start = replace(start, camera=camera, kappa_std=0.01)
-    registration = _finish(register(sequence, start, Settings()))
+    registration = result_of(register(sequence, start, Settings()))
     errors = [registration.crossings_px(i) - simulation.crossings_px(i) for i in range(8)]
     before = [start.crossings_px(i) - simulation.crossings_px(i) for i in range(8)]
     assert np.sqrt(np.square(before).sum(axis=-1).mean()) > 0.5
@@ -123,7 +116,7 @@ def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration
 
 def test_gains_follow_the_flicker_of_the_light(scene: tuple[Sequence, Calibration, Any]) -> None:
     sequence, truth, simulation = scene
-    registration = _finish(register(sequence, truth, Settings()))
+    registration = result_of(register(sequence, truth, Settings()))
     gains = np.array([pose.gain for pose in simulation.poses])
     gains /= np.exp(np.log(gains).mean())
     np.testing.assert_allclose(registration.gain, gains, atol=0.01)
@@ -136,8 +129,8 @@ def test_a_camera_out_of_a_file_stays_as_it_is(
     sequence, truth, _ = scene
     start = replace(truth, kappa_std=0.05)
     settings = Settings(calibration_file=Path("camera.yml"))
-    fixed = _finish(register(sequence, start, settings)).camera
-    free = _finish(register(sequence, start, Settings())).camera
+    fixed = result_of(register(sequence, start, settings)).camera
+    free = result_of(register(sequence, start, Settings())).camera
     assert fixed.kappa == pytest.approx(truth.camera.kappa, abs=1e-9)
     assert abs(free.kappa - truth.camera.kappa) > 1e-6
 
@@ -172,7 +165,7 @@ def test_a_frame_of_another_module_is_rejected_with_its_reason(
     homographies = truth.homographies.copy()
     homographies[3] = H
     calibration = replace(truth, homographies=homographies)
-    registration = _finish(register(_Swapped(sequence, 3, other), calibration, Settings()))
+    registration = result_of(register(_Swapped(sequence, 3, other), calibration, Settings()))
     assert not registration.used[3]
     assert "does not show the same module" in registration.why[3]
     assert registration.used.sum() == 7
@@ -186,19 +179,19 @@ def test_a_person_may_keep_and_leave_out_frames(
     other = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
     swapped = _Swapped(sequence, 3, other)
     settings = Settings(keep_frames=("frame_003.tif",), skip_frames=("frame_001.tif",))
-    registration = _finish(register(swapped, truth, settings))
+    registration = result_of(register(swapped, truth, settings))
     assert registration.used[3]
     assert not registration.used[1]
     assert registration.why[1] == "left out as the settings say"
     with pytest.raises(InspectionError, match=r"no frame 'x\.tif' .* frame_000\.tif to"):
-        _finish(register(sequence, truth, Settings(skip_frames=("x.tif",))))
+        result_of(register(sequence, truth, Settings(skip_frames=("x.tif",))))
 
 
 def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, Any]) -> None:
     sequence, truth, _ = scene
     used = np.zeros(8, bool)
     used[0] = True
-    registration = _finish(register(sequence, replace(truth, used=used), Settings()))
+    registration = result_of(register(sequence, replace(truth, used=used), Settings()))
     moved = registration.crossings_px(0) - truth.crossings_px(0)
     assert registration.gain[0] == 1
     assert np.abs(moved).max() < 0.05
@@ -210,7 +203,7 @@ def test_nothing_to_register_is_said_in_one_sentence(
     sequence, truth, _ = scene
     none = replace(truth, used=np.zeros(8, bool), why=("black",) * 8)
     with pytest.raises(InspectionError, match=r"No frame is left to register \(black\)"):
-        _finish(register(sequence, none, Settings()))
+        result_of(register(sequence, none, Settings()))
 
 
 def test_the_module_mean_of_ramps_is_a_ramp() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, minres
 
+from pv_inspect.generators import result_of
 from pv_inspect.layout import HrGrid
 from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
 from pv_inspect.prior import prior_named
@@ -43,6 +44,12 @@ def same(prior: Quadratic) -> Callable[[np.ndarray], Quadratic]:
     return lambda _: prior
 
 
+def support(
+    equations: NormalEquations, prior_with: Callable[[np.ndarray], Quadratic]
+) -> np.ndarray:
+    return result_of(support_of(equations, prior_with))
+
+
 def inner(image: np.ndarray) -> np.ndarray:
     h, w = image.shape
     return image[h // 3 : -h // 3, w // 3 : -w // 3]
@@ -59,15 +66,14 @@ def test_the_probe_holds_only_details_finer_than_the_lr_pixels() -> None:
 
 def test_without_a_prior_all_comes_from_the_frames_and_with_a_strong_one_nothing() -> None:
     equations = equations_of(moving=True)
-    assert np.median(inner(support_of(equations, same(prior_of(equations, 1e-3))))) > 0.7
-    assert np.median(inner(support_of(equations, same(prior_of(equations, 1e4))))) < 0.02
+    assert np.median(inner(support(equations, same(prior_of(equations, 1e-3))))) > 0.7
+    assert np.median(inner(support(equations, same(prior_of(equations, 1e4))))) < 0.02
 
 
 def test_support_falls_as_the_prior_gains_weight() -> None:
     equations = equations_of(moving=True)
     medians = [
-        np.median(inner(support_of(equations, same(prior_of(equations, s)))))
-        for s in (0.1, 1.0, 10.0)
+        np.median(inner(support(equations, same(prior_of(equations, s))))) for s in (0.1, 1.0, 10.0)
     ]
     assert medians[0] > medians[1] > medians[2]
 
@@ -75,14 +81,14 @@ def test_support_falls_as_the_prior_gains_weight() -> None:
 def test_frames_in_one_place_support_no_detail_beyond_their_own_resolution() -> None:
     moving, still = (equations_of(moving=m) for m in (True, False))
     prior = prior_of(moving, 0.1)
-    moved = np.median(inner(support_of(moving, same(prior))))
-    assert np.median(inner(support_of(still, same(prior)))) < 0.5 * moved
+    moved = np.median(inner(support(moving, same(prior))))
+    assert np.median(inner(support(still, same(prior)))) < 0.5 * moved
 
 
 def test_support_is_what_arrives_of_a_detail_that_is_put_into_the_scene() -> None:
     equations = equations_of(moving=True)
     prior = prior_of(equations, 0.3)
-    share = support_of(equations, same(prior))
+    share = support(equations, same(prior))
     shape = equations.model.grid.shape
     z = np.roll(probe(shape, 3.0), (17, 31), axis=(0, 1))
     n = z.size
@@ -100,7 +106,7 @@ def test_support_is_what_arrives_of_a_detail_that_is_put_into_the_scene() -> Non
 
 def test_support_is_zero_where_no_frame_looks() -> None:
     equations = equations_of(moving=True)
-    share = support_of(equations, same(prior_of(equations, 1e-3)))
+    share = support(equations, same(prior_of(equations, 1e-3)))
     assert share[0, 0] == 0
     assert share.min() >= 0
     assert share.max() <= 1
@@ -129,5 +135,5 @@ def test_of_a_faint_detail_in_a_smooth_cell_arrives_as_much_as_support_says(weig
     )
     difference = inner(shown - plain)
     arrived = float((difference * inner(z)).sum() / (inner(z) ** 2).sum()) / float(faint)
-    share = support_of(without.equations, lambda u: without.majoriser(plain + faint * u))
+    share = support(without.equations, lambda u: without.majoriser(plain + faint * u))
     assert float(inner(share).mean()) == pytest.approx(arrived, abs=0.1)

@@ -19,6 +19,7 @@ __all__ = [
     "CRACKS",
     "CRACK_RGB",
     "EDITED_COLOUR",
+    "FOCUS_COLOUR",
     "FRAMES",
     "GRID",
     "GRID_COLOUR",
@@ -28,6 +29,8 @@ __all__ = [
     "POINT_SIZES",
     "POINT_SYMBOLS",
     "PREDICTED_COLOUR",
+    "PRIMARY_COLOUR",
+    "PRIMARY_HOVER_COLOUR",
     "SUPPORT",
     "contrast_limits",
     "corrected_colormap",
@@ -54,6 +57,10 @@ POINT_SYMBOLS = ("disc", "x", "diamond")
 POINT_SIZES = (6.0, 7.0, 9.0)
 """LR px."""
 CRACK_RGB = (1.0, 0.55, 0.0)
+PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR = "#0072B2", "#1A86C4"
+"""Of the button for what comes next, behind white letters."""
+FOCUS_COLOUR = "#F0E442"
+"""Of the border around what the keyboard acts on."""
 CORRECTED_RGB = (0.8, 0.475, 0.655)
 """Of marks that a person has drawn: the colour of edited things."""
 

@@ -8,6 +8,7 @@ import napari
 
 from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.memory import few_arenas, left_alone
 
 __all__ = ["build", "run"]
 
@@ -27,8 +28,10 @@ def build(viewer: napari.Viewer) -> tuple[InspectDock, CellsDock]:
 
 def run(path: Path | None) -> None:
     """Open the window, load ``path`` into it, and return when it is closed."""
+    few_arenas()
     viewer = napari.Viewer(title=TITLE)
     inspect, _ = build(viewer)
     if path is not None:
         inspect.bench.open(path)
-    napari.run()
+    with left_alone():
+        napari.run()

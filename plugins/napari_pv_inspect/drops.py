@@ -7,6 +7,7 @@ which is napari's key for that choice, the drop is left to napari.
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from qtpy.QtCore import QEvent, QObject, Qt
@@ -16,6 +17,9 @@ from qtpy.QtWidgets import QWidget
 from napari_pv_inspect.reader import get_reader
 
 __all__ = ["DropTaker"]
+
+# What makes a folder one array, which napari's own readers know.
+ZARR = (".zarray", ".zgroup", ".zattrs", "zarr.json")
 
 
 class DropTaker(QObject):
@@ -54,8 +58,15 @@ class DropTaker(QObject):
         if not paths or len(paths) != len(urls):
             return False
         given = paths[0] if len(paths) == 1 else paths
-        if get_reader(given) is None:
+        if get_reader(given) is None and not _is_plain_folder(given):
             return False
         event.acceptProposedAction()
         self._take(given)
         return True
+
+
+def _is_plain_folder(given: str | list[str]) -> bool:
+    """Whether it is a folder that was meant for us: what is missing in it becomes a sentence."""
+    if not isinstance(given, str) or not (place := Path(given)).is_dir():
+        return False
+    return not any((place / name).exists() for name in ZARR)

@@ -33,6 +33,8 @@ class History:
     """What was done, and what was taken back."""
 
     changed = Signal()
+    settling = Signal()
+    """What the hand has begun is to be performed now: a slider may not have come to rest yet."""
 
     def __init__(self) -> None:
         self._done: list[Action] = []
@@ -56,8 +58,13 @@ class History:
         self._undone.clear()
         self.changed.emit()
 
+    def settle(self) -> None:
+        """Let what was begun become an action."""
+        self.settling.emit()
+
     def undo(self) -> None:
         """Take the last action back; nothing happens if there is none."""
+        self.settle()
         if self._done:
             self._done[-1].undo()
             self._undone.append(self._done.pop())
@@ -65,6 +72,7 @@ class History:
 
     def redo(self) -> None:
         """Do again what was taken back last; nothing happens if there is nothing."""
+        self.settle()
         if self._undone:
             self._undone[-1].do()
             self._done.append(self._undone.pop())

@@ -11,12 +11,14 @@ from psygnal import Signal
 from qtpy.QtCore import QTimer
 from superqt.utils import qthrottled
 
+from napari_pv_inspect.edits import Point
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.overlays import frame_grid
 from napari_pv_inspect.point_editor import PointEditor
-from pv_inspect.calibration import Calibration, calibrate
+from pv_inspect.calibration import Calibration, calibrate, refit_frame
+from pv_inspect.camera import Camera
 from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
@@ -24,8 +26,8 @@ from pv_inspect.settings import Settings
 
 __all__ = ["BentFrame", "LiveKappa", "bend_frame"]
 
-# A repaint costs up to 100 ms without a graphics card.
-THROTTLE_MS = 80
+# A fit of one frame and its repaint cost up to 50 ms without a graphics card.
+THROTTLE_MS = 50
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class BentFrame:
 
 def bend_frame(
     crossings: Crossings,
-    calibration: Calibration | None,
+    calibration: Calibration,
     frame: int,
     image_shape: tuple[int, int],
     settings: Settings,
@@ -56,12 +58,13 @@ def bend_frame(
     Parameters
     ----------
     crossings : Crossings
-    calibration : Calibration or None
-        Gives the focal length that kappa belongs to.
+    calibration : Calibration
+        Gives K, which a kappa alone belongs to, and a start.
     frame : int
     image_shape : (height, width)
     settings : Settings
-        kappa, or a calibration file.
+        kappa, a focal length or a calibration file; what they leave open is that of the
+        calibration.
 
     Raises
     ------
@@ -70,20 +73,28 @@ def bend_frame(
     """
     if crossings.frames[frame].why:
         raise InspectionError("This frame has no crossing points to fit: go to another one.")
-    free = settings.focal_length_px is None and settings.calibration_file is None
-    if calibration is not None and free:
-        # kappa has a meaning for one focal length only: stay with that of the fit.
-        settings = settings.changed(focal_length_px=float(calibration.camera.K[0, 0]))
-    alone = replace(crossings, frames=(crossings.frames[frame],))
-    fit = calibrate(alone, image_shape, settings)
-    if not fit.used[0]:
-        raise InspectionError(f"This frame can't be fitted: {fit.why[0]}")
-    segments = frame_grid(crossings.layout, fit.camera, fit.homographies[0], frame)
-    return BentFrame(segments, float(fit.rms_px[0]))
+    if settings.focal_length_px is None and settings.calibration_file is None:
+        camera = calibration.camera
+        if settings.kappa is not None:
+            camera = Camera(camera.K, settings.kappa)
+        fit, k = refit_frame(replace(calibration, camera=camera), crossings, frame), frame
+    else:
+        alone = replace(crossings, frames=(crossings.frames[frame],))
+        fit, k = calibrate(alone, image_shape, settings), 0
+    if not fit.used[k]:
+        raise InspectionError(f"This frame can't be fitted: {fit.why[k]}")
+    segments = frame_grid(crossings.layout, fit.camera, fit.homographies[k], frame)
+    return BentFrame(segments, float(fit.rms_px[k]))
 
 
 class LiveKappa:
-    """Bends the grid of the shown frame while its points or its lens differ from the fit."""
+    """Bends the grid of the shown frame while its points or its lens differ from the fit.
+
+    Attributes
+    ----------
+    held_rms_px : float or None
+        Distance of the crossing points from the grid while some are being dragged.
+    """
 
     residual_changed = Signal(str)
 
@@ -100,11 +111,14 @@ class LiveKappa:
         self._frames = frames
         self._geometry = geometry
         self._editor = editor
+        self._held: dict[int, Point] = {}
+        self.held_rms_px: float | None = None
         self._throttled = qthrottled(self.update, timeout=THROTTLE_MS)
         # After an edit the window may answer between the points and the grid.
         self._soon = QTimer()
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self._throttled)
+        self._lens = _lens(model.settings)
         model.settings_changed.connect(self._on_settings)
         model.inspection_changed.connect(self._on_inspection)
         viewer.dims.events.current_step.connect(self._on_step)
@@ -120,6 +134,23 @@ class LiveKappa:
         """Kappa of the newest fit, None if there is none."""
         fit = self._editor.calibration
         return None if fit is None else float(fit.camera.kappa)
+
+    def hold(self, frame: int, points: dict[int, Point]) -> None:
+        """Bend the grid while the hand holds crossings at other places; {}: it let go.
+
+        Parameters
+        ----------
+        frame : int
+            The shown one.
+        points : {number of the crossing: (x, y) px}
+        """
+        self._held = points if frame == self._frames.frame else {}
+        if self._held:
+            self._throttled()
+        else:
+            # The edit that follows, or the way back, is drawn when it is entered.
+            self.held_rms_px = None
+            self._soon.start(0)
 
     def update(self) -> None:
         """Bend the grid of the shown frame, or show the fitted one."""
@@ -137,7 +168,7 @@ class LiveKappa:
         error = f"can't be fitted: {why}" if why else f"{fit.rms_px[frame]:.2f} px"
         own_kappa = settings.kappa is not None and abs(settings.kappa - kappa) >= 1e-9
         own_file = settings.calibration_file != inspection.settings.calibration_file
-        if not own_kappa and not own_file:
+        if not own_kappa and not own_file and not self._held:
             if self._editor.provisional and fit.used[frame]:
                 segments = frame_grid(fit.layout, fit.camera, fit.homographies[frame], frame)
                 self._geometry.bend(frame, segments)
@@ -146,7 +177,11 @@ class LiveKappa:
             state = "edited, all frames follow" if self._editor.provisional else "fit"
             self.residual_changed.emit(f"This frame, {state}: kappa {kappa:+.4f}, {error}")
             return
-        crossings = self._editor.crossings
+        crossings = self._editor.with_points(frame, self._held)
+        if self._held and not own_kappa and not own_file:
+            settings = inspection.settings.changed(
+                kappa=None, focal_length_px=None, calibration_file=None
+            )
         try:
             if crossings is None:
                 raise InspectionError("There are no crossing points to fit: detect the grid.")
@@ -156,15 +191,25 @@ class LiveKappa:
             self.residual_changed.emit(str(problem))
             return
         self._geometry.bend(frame, bent.segments)
-        self.residual_changed.emit(
-            f"This frame {bent.rms_px:.2f} px (fit: kappa {kappa:+.4f}, {error})"
-        )
+        self.held_rms_px = bent.rms_px if self._held else None
+        what = "This frame, dragged," if self._held else "This frame"
+        fitted = f"fit: kappa {kappa:+.4f}, {error}"
+        self.residual_changed.emit(f"{what} {bent.rms_px:.2f} px ({fitted})")
 
-    def _on_settings(self, _: Settings) -> None:
-        self._throttled()
+    def _on_settings(self, settings: Settings) -> None:
+        lens = _lens(settings)
+        if lens != self._lens:
+            self._lens = lens
+            # The live cell may begin meanwhile.
+            self._soon.start(0)
 
     def _on_inspection(self, _: Inspection | None) -> None:
         self._soon.start(0)
 
     def _on_step(self, _: object = None) -> None:
-        self._throttled()
+        # Not within the event: it comes too while napari adds a layer, and it adds one at a time.
+        self._soon.start(0)
+
+
+def _lens(settings: Settings) -> tuple[object, ...]:
+    return settings.kappa, settings.focal_length_px, settings.calibration_file

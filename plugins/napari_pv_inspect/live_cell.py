@@ -34,12 +34,12 @@ KEPT = 64
 
 
 class Source(Enum):
-    """What the live cell can be compared with."""
+    """What can be seen of a cell, beside the trials."""
 
+    LIVE = "live"
     BICUBIC = "bicubic, best frame"
     PREVIOUS = "previous setting"
     RUN = "last whole run"
-    CHOSEN = "chosen in the list"
     NOTHING = "nothing"
 
 
@@ -112,20 +112,20 @@ class LiveCell(QObject):
         self._settle.stop()
         self.tuning.settle()
 
-    def reference(self, source: Source, trial: Trial | None = None) -> CellPicture | None:
+    def reference(self, what: Source | Trial) -> CellPicture | None:
         """Return what to compare with if it is known; else ask for it (`reference_ready`)."""
         inspection, cell = self._inspection, self.cell
-        if inspection is None or cell is None or source is Source.NOTHING:
+        if inspection is None or cell is None or what in (Source.NOTHING, Source.LIVE):
             return None
-        if source is Source.RUN:
+        if what is Source.RUN:
             return run_cell(inspection, cell)
-        if source is Source.BICUBIC:
+        if what is Source.BICUBIC:
             magnification = inspection.settings.magnification
             key: Key = ("bicubic", cell)
             return self._known_or_asked(
                 key, partial(self._rectify, key, inspection, cell, magnification)
             )
-        trial = self.tuning.before if source is Source.PREVIOUS else trial
+        trial = what if isinstance(what, Trial) else self.tuning.before
         if trial is None:
             return None
         if trial.picture.cell == cell:
@@ -141,7 +141,8 @@ class LiveCell(QObject):
         return None if inspection is None or inspection.registration is None else inspection
 
     def _known_or_asked(self, key: Key, job: Job) -> CellPicture | None:
-        if key not in self._references and key != self._asked_beside and not self._closed:
+        # One at a time: whoever waits asks again when it is ready.
+        if key not in self._references and self._asked_beside is None and not self._closed:
             self._asked_beside = key
             self._worker.submit("beside", job)
         return self._references.get(key)

@@ -13,6 +13,7 @@ import numpy as np
 from psygnal import Signal
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.results import Result
@@ -122,10 +123,7 @@ class WorkbenchModel:
 
     def restore(self, inspection: Inspection, result: Result) -> None:
         """Put an inspection out of a result folder on the bench, with its settings."""
-        layout = inspection.layout
-        # What was guessed then is known now.
-        known = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
-        settings = inspection.settings.changed(**known)
+        settings = _with_layout(inspection.settings, inspection.layout)
         self._put(inspection.sequence, settings)
         self.result = result
         self.inspection = replace(inspection, settings=settings)
@@ -193,7 +191,7 @@ class WorkbenchModel:
 
     def open_result(self, result: Result) -> None:
         """Look at a result folder whose frames are not there; its settings go into the controls."""
-        self._put(None, result.settings)
+        self._put(None, _with_layout(result.settings, result.grid.layout))
         self.result = result
         self.result_opened.emit(result)
 
@@ -303,6 +301,11 @@ class WorkbenchModel:
 
 def _position(stage: Stage) -> int:
     return stage.index
+
+
+def _with_layout(settings: Settings, layout: ModuleLayout) -> Settings:
+    """What was guessed then is known now."""
+    return settings.changed(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
 
 
 def best_start(settings: Settings, *candidates: Inspection | None) -> Inspection | None:

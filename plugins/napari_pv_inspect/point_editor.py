@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -68,6 +69,15 @@ class PointEditor:
     def move(self, frame: int, points: Mapping[int, Point]) -> bool:
         """Put crossings, by their number, at other places; False if that can't be."""
         return self._edit(frame, dict(points), "Move")
+
+    def with_points(self, frame: int, points: Mapping[int, Point]) -> Crossings | None:
+        """Return the crossings with some of a frame at other places, which is no edit yet."""
+        crossings = self.crossings
+        if crossings is None or not points:
+            return crossings
+        frames = list(crossings.frames)
+        frames[frame] = frames[frame].with_edits(dict(points))
+        return replace(crossings, frames=tuple(frames))
 
     def add(self, frame: int, points: Iterable[Point]) -> bool:
         """Set the crossings nearest to some places; False if one is too far from all of them."""

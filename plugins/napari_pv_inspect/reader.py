@@ -30,7 +30,10 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
         if (place / "result.json").is_file():
             return read_result
         folder = place / "frames" if (place / "frames").is_dir() else place
-        return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
+        try:
+            return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
+        except OSError:
+            return read_sequence  # It says why the folder can't be read.
     return read_sequence if place.suffix.lower() in {".tif", ".tiff"} else None
 
 

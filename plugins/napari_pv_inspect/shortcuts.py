@@ -85,6 +85,7 @@ class Shortcuts:
         dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         text = QLabel(self.as_html())
         text.setMargin(12)
+        text.setWordWrap(True)
         area = QScrollArea()
         area.setWidget(text)
         area.setWidgetResizable(True)

@@ -126,14 +126,7 @@ def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
         rows, cols = range(layout.rows), range(layout.cols)
         return np.array([[whole[grid.cell_slices(i, j)] for j in cols] for i in rows], np.float32)
 
-    cracks = CrackMap(
-        result.cracks,
-        result.crack_threshold,
-        result.detector,
-        result.cells,
-        result.least_extent_cells,
-    )
-    return CellTiles(cut(result.image), grid, cut(result.support)), cracks
+    return CellTiles(cut(result.image), grid, cut(result.support)), result.crack_map
 
 
 def _frame(sequence: Sequence, index: int) -> NDArray[np.float32]:

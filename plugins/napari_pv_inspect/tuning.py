@@ -19,6 +19,8 @@ IMAGE_FIELDS = ("magnification", "prior", "prior_weight", "psf_sigma_lr_px", "mo
 """Settings of the page *Image*."""
 LIVE_FIELDS = (*IMAGE_FIELDS, "kappa", "skip_frames")
 """Settings that the live cell follows."""
+UNDONE_FIELDS = (*IMAGE_FIELDS, "kappa", "focal_length_px", "calibration_file")
+"""Settings whose changes are edits that can be taken back, once they have settled."""
 NAMES = {
     "magnification": "magnification",
     "prior": "prior",
@@ -26,6 +28,8 @@ NAMES = {
     "psf_sigma_lr_px": "PSF sigma",
     "motion_blur": "motion blur",
     "kappa": "kappa",
+    "focal_length_px": "focal length",
+    "calibration_file": "camera file",
     "skip_frames": "frames left out",
 }
 DEPTH = 100
@@ -80,7 +84,7 @@ class Tuning:
     def __init__(self, model: WorkbenchModel, history: History) -> None:
         self._model = model
         self._history = history
-        self._settled = _part(model.settings, IMAGE_FIELDS)
+        self._settled = _part(model.settings, UNDONE_FIELDS)
         self._rests_at: dict[str, Any] = _part(model.settings, LIVE_FIELDS)
         self._newest: CellPicture | None = None
         self._count = 0
@@ -99,7 +103,7 @@ class Tuning:
 
     def settle(self) -> None:
         """Note that the controls rest: what changed since the last time becomes one edit."""
-        now = _part(self._model.settings, IMAGE_FIELDS)
+        now = _part(self._model.settings, UNDONE_FIELDS)
         if now != self._settled:
             self._perform(self._settled, now)
         self._rests_at = _part(self._model.settings, LIVE_FIELDS)
@@ -128,6 +132,13 @@ class Tuning:
                     lambda: self._put_name(trial.number, old),
                 )
             )
+
+    def take_in(self, trials: tuple[Trial, ...]) -> None:
+        """Go on from the trials of an earlier session."""
+        self.trials = trials[-DEPTH:]
+        self._count = max((trial.number for trial in trials), default=0)
+        self.current = self.previous = None
+        self.changed.emit()
 
     def pictured(self, picture: CellPicture) -> None:
         """Take in a picture of the live cell."""
@@ -176,7 +187,7 @@ class Tuning:
         self.changed.emit()
 
     def _on_sequence(self, _: Sequence | None) -> None:
-        self._settled = _part(self._model.settings, IMAGE_FIELDS)
+        self._settled = _part(self._model.settings, UNDONE_FIELDS)
         self._rests_at = _part(self._model.settings, LIVE_FIELDS)
         self.trials, self.current, self.previous, self._newest = (), None, None, None
         self.changed.emit()

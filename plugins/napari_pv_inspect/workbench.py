@@ -35,6 +35,7 @@ from napari_pv_inspect.saver import Saver
 from napari_pv_inspect.session_keeper import SessionKeeper
 from napari_pv_inspect.shortcuts import Key, Shortcuts
 from napari_pv_inspect.sources import RESULT_KEY
+from napari_pv_inspect.trial_keeper import TrialKeeper
 from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
 from pv_inspect.pipeline import Inspection
@@ -75,14 +76,17 @@ class Workbench(QObject):
         self.guesser = LayoutGuesser(self.model)
         self.points = PointsLayer(viewer, self.model, self.frames, self.editor)
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry, self.editor)
+        self.points.held.connect(self.live.hold)
         self.recalibration = Recalibration(self.model, self.editor)
         self.kappa_curve = KappaCurve(self.model)
         self.tuning = Tuning(self.model, self.history)
         self.live_cell = LiveCell(self.model, self.tuning)
+        self.history.settling.connect(self.live_cell.settle)
         self.navigator = Navigator(viewer, self.model, self.module)
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
+        self.trials = TrialKeeper(self.model, self.tuning)
         self.review = Reviewer(self.model, self.history)
         self.corrections = CorrectionLayers(viewer, self.module, self.review.state)
         self.opener.may_leave = self._may_leave
@@ -91,9 +95,11 @@ class Workbench(QObject):
         self.model.preview_changed.connect(self._on_preview)
         self.model.noticed.connect(self._on_notice)
         self.model.sequence_changed.connect(self._on_sequence)
-        viewer.layers.events.inserted.connect(self._on_inserted)
+        # Last: adopting may take another layer away, which napari's list has to be ready for.
+        viewer.layers.events.inserted.connect(self._on_inserted, position="last")
         window = getattr(viewer, "window", None)
         self._main_window = getattr(window, "_qt_window", None)
+        self._refused = False
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
@@ -109,6 +115,8 @@ class Workbench(QObject):
             )
             self._drops = DropTaker(self._main_window._qt_viewer, self.open)
             self._main_window.installEventFilter(self)
+            # `viewer.close()` closes the canvas first: without it no question can be asked.
+            self._main_window._qt_viewer.installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
             self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
@@ -129,6 +137,7 @@ class Workbench(QObject):
         self._show_preview.cancel()
         self._fit_timer.stop()
         self.session.close()
+        self.trials.close()
         self.opener.close()
         self.saver.close()
         if self._drops is not None:
@@ -144,18 +153,26 @@ class Workbench(QObject):
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
+            self._main_window._qt_viewer.removeEventFilter(self)
             if self.shortcuts is not None:
                 self.shortcuts.close()
             self._main_window = None
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Close with the window, and before it."""
-        if watched is self._main_window and event.type() == QEvent.Type.Close:
-            if not self.review.may_close(self._main_window):
-                event.ignore()
-                return True
+        if event.type() != QEvent.Type.Close or self._main_window is None:
+            return False
+        canvas = self._main_window._qt_viewer
+        if watched not in (self._main_window, canvas):
+            return False
+        # napari closes the window right after the canvas: the user is not asked twice.
+        refused, self._refused = self._refused, False
+        if not refused and self.review.may_close(self._main_window):
             self.close()
-        return False
+            return False
+        self._refused = watched is canvas
+        event.ignore()
+        return True
 
     def fit_view(self) -> None:
         """Show everything, once docks that come or go have settled."""
@@ -170,11 +187,13 @@ class Workbench(QObject):
 
     def _on_result(self, result: Result) -> None:
         self.session.resume(result)
+        self.trials.resume(result)
         self.fit_view()
 
     def _on_saved(self, inspection: Inspection, folder: Path) -> None:
         if inspection is self.model.inspection:
             self.session.attach(folder)
+            self.trials.attach(folder)
             self.review.saved(folder)
 
     def _on_sequence(self, _: object) -> None:

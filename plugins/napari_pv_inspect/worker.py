@@ -100,6 +100,8 @@ class RunController(QObject):
         super().__init__()
         self.model = model
         self._worker: InspectionWorker | None = None
+        # The run of a sequence that is no longer on the bench, on its way out.
+        self._leaving: InspectionWorker | None = None
         self._outcome: Outcome | None = None
         self._until: Stage | None = None
         self._waiting: _Wish | None = None
@@ -131,7 +133,10 @@ class RunController(QObject):
         worker.returned.connect(self._on_return)
         worker.finished.connect(self._on_finish)
         self._worker = worker
-        worker.start()
+        if self._leaving is None:
+            worker.start()
+        else:
+            self.model.progress_changed.emit(0.0, "waiting for the run before to stop")
         return True
 
     def cancel(self) -> None:
@@ -159,28 +164,41 @@ class RunController(QObject):
 
     def shutdown(self, wait_ms: int = 3000) -> None:
         """Stop for good: nothing reaches the model any more; wait briefly for the thread."""
+        self._abandon()
+        worker, self._leaving = self._leaving, None
+        if worker is not None:
+            worker.finished.disconnect(self._on_finish)
+            QThreadPool.globalInstance().waitForDone(wait_ms)
+
+    def _abandon(self) -> None:
+        """Ask the run to stop, without waiting: nothing of it reaches the model any more."""
         worker, self._worker = self._worker, None
         self._waiting = self._outcome = None
         if worker is None:
             return
         worker.yielded.disconnect(self._on_step)
         worker.returned.disconnect(self._on_return)
-        worker.finished.disconnect(self._on_finish)
         worker.quit()
-        QThreadPool.globalInstance().waitForDone(wait_ms)
+        # One that waits for another to stop never began.
+        self._leaving = self._leaving or worker
 
     def _on_sequence(self, _: Sequence | None) -> None:
-        # What a run says about the sequence that was on the bench before is of no use any more.
-        self.shutdown()
+        self._abandon()
 
     def _on_step(self, step: Step) -> None:
-        if self._worker is not None:
+        if self._worker is not None and self._leaving is None:
             self.model.absorb(step)
 
     def _on_return(self, outcome: Outcome) -> None:
         self._outcome = outcome
 
     def _on_finish(self) -> None:
+        if self._leaving is not None:
+            self._leaving = None
+            release()
+            if self._worker is not None:
+                self._worker.start()
+            return
         if self._worker is None:
             return
         self._worker = None

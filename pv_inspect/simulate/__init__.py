@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.generators import relayed, result_of
 from pv_inspect.simulate.exposure import (
     Exposer,
     Pose,
@@ -100,13 +101,7 @@ def simulate(
     poses = choose_poses(settings, pose_rng)
     share = 0.2
     if scene is None:
-        rendering = render_scene(settings, module_rng)
-        while True:
-            try:
-                yield share * next(rendering)
-            except StopIteration as done:
-                scene = done.value
-                break
+        scene = yield from relayed(render_scene(settings, module_rng), lambda done: share * done)
     exposer = Exposer(settings, scene)
     sensor = Sensor(settings, pattern_rng)
     frames = np.empty((len(poses), settings.height, settings.width), np.uint16)
@@ -118,10 +113,4 @@ def simulate(
 
 def simulated(settings: SimulationSettings, scene: Scene | None = None) -> SimulatedSequence:
     """Simulate a sequence without looking at the progress; see `simulate`."""
-    steps = simulate(settings, scene)
-    while True:
-        try:
-            next(steps)
-        except StopIteration as done:
-            result: SimulatedSequence = done.value
-            return result
+    return result_of(simulate(settings, scene))

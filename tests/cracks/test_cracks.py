@@ -16,6 +16,7 @@ from pv_inspect.cracks import (
     operating_point_of,
     read_cracks,
 )
+from pv_inspect.generators import result_of
 from pv_inspect.settings import Settings
 from tests.handmade import made_reconstruction
 
@@ -32,12 +33,8 @@ class BelowLevel:
 
 
 def drained(work: Generator[float, None, T]) -> tuple[list[float], T]:
-    fractions = []
-    while True:
-        try:
-            fractions.append(next(work))
-        except StopIteration as end:
-            return fractions, end.value
+    fractions: list[float] = []
+    return fractions, result_of(work, fractions.append)
 
 
 def test_any_detector_fills_the_map_and_the_features() -> None:

@@ -101,7 +101,7 @@ def replayed(monkeypatch: pytest.MonkeyPatch, tiny_inspection: Inspection) -> Ge
     replay = Replay(tiny_inspection)
     monkeypatch.setattr("pv_inspect.pipeline.inspect", replay.inspect)
     yield replay
-    replay.go_on = True
+    replay.go_on, replay.busy = True, False
 
 
 class Replay:
@@ -110,6 +110,8 @@ class Replay:
     def __init__(self, inspection: Inspection) -> None:
         self.inspection = inspection
         self.go_on = True
+        self.busy = False
+        """Within a long step, which a request to stop waits for."""
         self.error: Exception | None = None
         self.closed = 0
         self.starts: list[Inspection | None] = []
@@ -135,6 +137,8 @@ class Replay:
                 raise self.error
             while not self.go_on:
                 sleep(0.01)
+                while self.busy:
+                    sleep(0.01)
                 yield Step(Stage.RECONSTRUCT, 0.7, "iterating")
             yield Step(Stage.RECONSTRUCT, 0.8, "done", whole.reconstruction)
             yield Step(Stage.CELLS, 0.9, "done", whole.tiles)

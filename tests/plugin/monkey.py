@@ -16,6 +16,7 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.large_cell import large_cell
+from napari_pv_inspect.history import Action
 from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.model import RunState
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
@@ -209,18 +210,27 @@ class Monkey:
             self.given[folder][cell] = kind
 
     def _do_undo(self) -> None:
-        done = self.bench.history._done
-        meaning = self._meaning.get(id(done[-1])) if done else None
+        history = self.bench.history
+        top = history._undone[-1:]
         self._press("Ctrl+Z")
-        if meaning is not None:
+        # A slider that had not settled yet goes first.
+        if (meaning := self._meant(top, history._undone)) is not None:
             self._put(meaning[0], meaning[1], meaning[2])
 
     def _do_redo(self) -> None:
-        undone = self.bench.history._undone
-        meaning = self._meaning.get(id(undone[-1])) if undone else None
+        history = self.bench.history
+        top = history._done[-1:]
         self._press("Ctrl+Shift+Z")
-        if meaning is not None:
+        if (meaning := self._meant(top, history._done)) is not None:
             self._put(meaning[0], meaning[1], meaning[3])
+
+    def _meant(
+        self, before: list[Action], after: list[Action]
+    ) -> tuple[Path, Cell, VerdictKind | None, VerdictKind | None] | None:
+        """Return what the action on top means for a verdict, if it has come just now."""
+        if not after or after[-1:] == before:
+            return None
+        return self._meaning.get(id(after[-1]))
 
     def _press(self, sequence: str) -> None:
         bound = self.bench.shortcuts._bound
@@ -370,7 +380,8 @@ class Monkey:
             self.until(lambda: not self.bench.saver.busy, "the saved result")
             # What was judged goes to another folder as well.
             after = self.bench.review.state.folder
-            if before != after and before in self.given:
+            # None: other frames that were still being opened came meanwhile.
+            if after not in (None, before) and before in self.given:
                 self.given.setdefault(after, {}).update(self.given[before])
 
     def _do_reopen(self) -> None:

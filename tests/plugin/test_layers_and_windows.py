@@ -115,3 +115,25 @@ def test_a_dock_may_be_closed_while_a_run_goes_on(
     replayed.go_on = True
     qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
     assert model.inspection.complete
+
+
+def test_closing_by_code_asks_once_before_anything_is_closed(
+    make_napari_viewer: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, qtbot: QtBot
+) -> None:
+    viewer = make_napari_viewer()
+    dock, _ = build(viewer)
+    bench, window = dock.bench, viewer.window._qt_window
+    canvas_class = type(window._qt_viewer)
+    close_canvas, answers, closed = canvas_class.closeEvent, [True, False], []
+
+    def closing(canvas: Any, event: Any) -> None:
+        closed.append("canvas")
+        close_canvas(canvas, event)
+
+    monkeypatch.setattr(canvas_class, "closeEvent", closing)
+    monkeypatch.setattr(bench.review, "may_close", lambda _: answers.pop())
+    viewer.close()
+    assert (answers, closed) == ([True], [])
+    window._qt_viewer.close()
+    assert (answers, closed) == ([], ["canvas"])
+    window.close()

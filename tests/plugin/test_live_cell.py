@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -113,6 +112,22 @@ def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbo
     assert "lambda" in shown.caption.text()
 
 
+def test_the_grid_is_redrawn_for_the_lens_only(
+    live: tuple[InspectDock, LiveDock], qtbot: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dock, _ = live
+    drawn: list[int] = []
+    monkeypatch.setattr(dock.bench.geometry, "bend", lambda frame, _: drawn.append(frame))
+    dock.lens.kappa.slider.setValue(dock.lens.kappa.slider.value() + 20)
+    qtbot.waitUntil(lambda: bool(drawn))
+    qtbot.wait(200)
+    drawn.clear()
+    for position in (300, 310, 320):
+        dock.image.prior_weight.slider.setValue(position)
+        qtbot.wait(100)
+    assert not drawn
+
+
 def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
     live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
@@ -129,18 +144,17 @@ def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
     assert dock.image.automatic.isChecked()
 
 
-@pytest.mark.parametrize("source", [Source.BICUBIC, Source.PREVIOUS, Source.RUN, Source.CHOSEN])
+@pytest.mark.parametrize("source", [Source.BICUBIC, Source.PREVIOUS, Source.RUN, 1])
 def test_it_is_compared_with(
-    source: Source, live: tuple[InspectDock, LiveDock], qtbot: Any
+    source: Source | int, live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
     dock, shown = live
     settled(qtbot, shown)
     dock.bench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
-    shown.trials.view.setCurrentIndex(shown.trials.trials.index(0))
-    shown.choose_source(source)
+    shown.compare(source)
     qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None, timeout=LONG_MS)
-    shown.choose_source(Source.NOTHING)
+    shown.compare(Source.NOTHING)
     assert shown.view._pictures[0][0] is None
 
 
@@ -154,8 +168,8 @@ def test_a_trial_of_another_cell_is_rendered_for_this_one(
     dock.bench.model.select_cell(other)
     qtbot.waitUntil(lambda: shown._picture.cell == other, timeout=LONG_MS)
     cell = dock.bench.live_cell
-    qtbot.waitUntil(lambda: cell.reference(Source.CHOSEN, trial) is not None, timeout=LONG_MS)
-    assert cell.reference(Source.CHOSEN, trial).cell == other
+    qtbot.waitUntil(lambda: cell.reference(trial) is not None, timeout=LONG_MS)
+    assert cell.reference(trial).cell == other
 
 
 def test_a_trial_is_named_in_place(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
@@ -176,8 +190,66 @@ def test_two_selected_trials_are_compared_with_each_other(
     dock.bench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
     shown.trials.view.selectAll()
-    assert shown.source.currentData() is Source.CHOSEN
-    assert [text for _, text in shown.view._pictures] == ["first look", "lambda 5"]
+    assert (shown.against.choice, shown.shown.choice) == (1, 2)
+    assert texts(shown) == ["first look", "lambda 5"]
+    shown.trials.view.setCurrentIndex(shown.trials.trials.index(1))
+    assert texts(shown) == ["lambda 5", "live"]
+
+
+def texts(live: LiveDock) -> list[str]:
+    return [text for _, text in live.view._pictures]
+
+
+def test_any_trial_is_compared_with_bicubic_and_with_any_other(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    for weight in (5.0, 7.0):
+        dock.bench.model.change_settings(prior_weight=weight)
+        settled(qtbot, shown)
+    in_list = [shown.against.itemText(k) for k in range(shown.against.count())]
+    assert in_list[-3:] == ["first look", "lambda 5", "lambda 7"]
+    shown.compare(Source.BICUBIC, 2)
+    qtbot.waitUntil(lambda: texts(shown)[0].startswith("bicubic, "), timeout=LONG_MS)
+    assert texts(shown)[1] == "lambda 5"
+    shown.compare(3, 1)
+    assert texts(shown) == ["lambda 7", "first look"]
+    other = (2, 3) if shown._picture.cell != (2, 3) else (0, 0)
+    dock.bench.model.select_cell(other)
+    cell = dock.bench.live_cell
+    first, _, third = dock.bench.tuning.trials
+    qtbot.waitUntil(
+        lambda: cell.reference(first) is not None and cell.reference(third) is not None,
+        timeout=LONG_MS,
+    )
+    assert texts(shown) == ["lambda 7", "first look"]
+    # Who moves a control wants to see what it does.
+    dock.bench.model.change_settings(prior_weight=6.0)
+    assert texts(shown) == ["lambda 7", "live"]
+
+
+def test_a_named_trial_has_its_name_on_both_sides(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    shown.compare(1)
+    dock.bench.tuning.rename(dock.bench.tuning.trials[0], "sharp")
+    assert texts(shown) == ["sharp", "live"]
+    assert shown.against.currentText() == "sharp"
+    dock.bench.model.open(dock.bench.model.sequence)
+    assert shown.against.choice is Source.BICUBIC
+
+
+def test_the_comparison_is_driven_by_keys(live: tuple[InspectDock, LiveDock]) -> None:
+    dock, shown = live
+    group = {key.sequence for key in dock.bench.shortcuts.keys if key.group == "Live cell"}
+    assert group == {"F", "Left", "Right", "Home", "End"}
+    shown.view.step(2)
+    assert shown.view.divider == pytest.approx(0.6)
+    QTest.keyClick(shown.view, Qt.Key.Key_Left)
+    assert shown.view.divider == pytest.approx(0.55)
 
 
 def test_it_computes_only_while_it_is_seen(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
@@ -225,22 +297,6 @@ def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
     expected = typical_prior_weight("tikhonov")
     assert f"lambda {expected:.3g}" in shown.caption.text()
     assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
-
-
-def test_presets_go_through_the_page(live: tuple[InspectDock, LiveDock], tmp_path: Path) -> None:
-    dock, _ = live
-    model = dock.bench.model
-    model.change_settings(prior="btv", psf_sigma_lr_px=0.5)
-    dock.image.save_preset(tmp_path / "mine")
-    model.change_settings(prior="wbtv", psf_sigma_lr_px=None)
-    dock.image.load_preset(tmp_path / "mine.toml")
-    assert (model.settings.prior, model.settings.psf_sigma_lr_px) == ("btv", 0.5)
-    assert dock.image.prior.currentData() == "btv"
-    assert not dock.image.estimated.isChecked()
-    said: list[str] = []
-    model.noticed.connect(lambda text, _: said.append(text))
-    dock.image.load_preset(tmp_path / "none.toml")
-    assert "can't be read" in said[-1]
 
 
 def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) -> None:

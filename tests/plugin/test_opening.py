@@ -115,6 +115,7 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert names(viewer) == MODULE_LAYERS
     assert cells.cells.rowCount() == 12
     assert dock.image.magnification.value == 2.0
+    assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
     assert not dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
@@ -200,6 +201,29 @@ def test_folders_stacks_lists_and_results_can_be_dropped(
         opened(dock, qtbot)
         assert len(model.sequence) == count
     assert model.inspection.complete
+
+
+def test_a_dropped_folder_without_frames_is_one_sentence_and_an_array_is_left_to_napari(
+    app: Any, tmp_path: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer, dock, _ = app
+    left: list[Any] = []
+    monkeypatch.setattr(
+        type(viewer.window._qt_viewer), "_qt_open", lambda _, paths, **__: left.append(paths)
+    )
+    notices: list[str] = []
+    dock.bench.model.noticed.connect(lambda text, error: notices.append(text) if error else None)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "array").mkdir()
+    (tmp_path / "array" / ".zgroup").write_text("{}")
+    drop(viewer, tmp_path / "empty")
+    opened(dock, qtbot)
+    assert len(notices) == 1
+    assert "holds no TIFF or PNG image" in notices[0]
+    assert left == []
+    drop(viewer, tmp_path / "array")
+    assert len(left) == 1
+    assert not dock.bench.opener.busy
 
 
 def test_the_newest_of_two_wishes_wins(app: Any, tiny_folder: Path, qtbot: QtBot) -> None:

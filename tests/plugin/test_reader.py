@@ -98,6 +98,22 @@ def test_other_paths_are_left_to_other_readers(tmp_path: Path) -> None:
     assert get_reader(str(tmp_path / "nowhere")) is None
 
 
+def test_a_folder_that_can_not_be_read_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", refuse)
+    sentences: list[str] = []
+    monkeypatch.setattr("napari.utils.notifications.show_error", sentences.append)
+    read = get_reader(str(tmp_path))
+    assert read is not None
+    assert read(str(tmp_path)) == [(None,)]
+    assert len(sentences) == 1
+    assert "permissions" in sentences[0]
+
+
 def test_a_broken_sequence_is_one_sentence_and_no_layer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,18 +1,13 @@
-"""Trials of the tuning and presets."""
+"""Trials of the tuning."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 
 from napari_pv_inspect.cell_renderer import CellPicture
 from napari_pv_inspect.history import History
 from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.presets import PRESET_FIELDS, read_preset, write_preset
 from napari_pv_inspect.tuning import Tuning, what_differs
-from pv_inspect.errors import InspectionError
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 
@@ -61,11 +56,11 @@ def test_undo_takes_the_last_image_setting_back_whatever_else_changed() -> None:
     hand = Hand()
     hand.model.change_settings(psf_sigma_lr_px=0.6)
     hand.tuning.settle()
-    hand.model.change_settings(kappa=-0.1)
+    hand.model.change_settings(cell_aspect=1.5)
     hand.tuning.settle()
     hand.history.undo()
     assert hand.model.settings.psf_sigma_lr_px is None
-    assert hand.model.settings.kappa == -0.1
+    assert hand.model.settings.cell_aspect == 1.5
 
 
 def test_there_is_one_trial_per_settled_setting() -> None:
@@ -127,34 +122,3 @@ def test_what_differs_is_told_in_a_few_words() -> None:
     a = Settings(rows=2, prior_weight=0.5)
     b = Settings(rows=3, prior="btv", kappa=-0.2, skip_frames=("f1", "f2"))
     assert what_differs(a, b) == "prior btv, lambda automatic, kappa -0.2, frames left out 2"
-
-
-def test_a_preset_comes_back_without_what_belongs_to_the_module(tmp_path: Path) -> None:
-    settings = Settings(
-        rows=6, cols=10, kappa=-0.1, prior="btv", prior_weight=0.3, second_look=False
-    )
-    write_preset(settings, tmp_path / "sharp.toml")
-    text = (tmp_path / "sharp.toml").read_text()
-    assert not any(word in text for word in ("rows", "kappa", "frame"))
-    back = read_preset(tmp_path / "sharp.toml")
-    assert all(getattr(back, f) == getattr(settings, f) for f in PRESET_FIELDS)
-    assert [p.name for p in tmp_path.iterdir()] == ["sharp.toml"]
-
-
-def test_a_preset_is_one_edit_and_leaves_the_module_alone(tmp_path: Path) -> None:
-    hand = Hand()
-    hand.model.change_settings(rows=6, cols=10)
-    hand.try_(2.0)
-    preset = Settings(prior="tikhonov", magnification=3.0)
-    hand.tuning.apply(preset, PRESET_FIELDS, "Load preset")
-    assert (hand.model.settings.prior, hand.model.settings.prior_weight) == ("tikhonov", None)
-    assert hand.model.settings.rows == 6
-    hand.history.undo()
-    assert (hand.model.settings.prior, hand.model.settings.prior_weight) == ("wbtv", 2.0)
-
-
-def test_a_preset_that_can_not_be_written_leaves_the_old_one(tmp_path: Path) -> None:
-    (tmp_path / "taken").mkdir()
-    with pytest.raises(InspectionError, match="can't be written"):
-        write_preset(Settings(), tmp_path / "taken")
-    assert [p.name for p in tmp_path.iterdir()] == ["taken"]

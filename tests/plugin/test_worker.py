@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -104,6 +105,42 @@ def test_shutdown_mid_run_closes_the_pipeline_and_reaches_the_model_no_more(
     assert replayed.closed == 1
     qtbot.wait(100)
     assert changes == []
+
+
+def test_the_run_of_another_sequence_begins_when_that_of_the_last_one_has_stopped(
+    runs: RunController, tiny_folder: Path, replayed: Any, qtbot: QtBot
+) -> None:
+    replayed.go_on, replayed.busy = False, True
+    runs.start()
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    runs.model.open(Sequence.open(tiny_folder))
+    assert runs.model.inspection is None
+    assert replayed.closed == 0, "opening does not wait for the run"
+    assert runs.start()
+    assert len(replayed.starts) == 1, "two runs never overlap"
+    replayed.go_on, replayed.busy = True, False
+    wait_until_idle(runs, qtbot)
+    assert replayed.closed == 2
+    assert len(replayed.starts) == 2
+    assert runs.model.inspection is not None
+    assert runs.model.inspection.complete
+
+
+def test_a_run_that_waits_for_another_one_to_stop_can_be_cancelled(
+    runs: RunController, tiny_folder: Path, replayed: Any, qtbot: QtBot
+) -> None:
+    replayed.go_on, replayed.busy = False, True
+    runs.start()
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    runs.model.open(Sequence.open(tiny_folder))
+    runs.start()
+    runs.cancel()
+    replayed.go_on, replayed.busy = True, False
+    wait_until_idle(runs, qtbot)
+    assert len(replayed.starts) == 1
+    assert runs.start()
+    wait_until_idle(runs, qtbot)
+    assert runs.model.inspection is not None
 
 
 @pytest.mark.parametrize("whole", [False, True])

@@ -150,6 +150,8 @@ class FramesBox(QWidget):
         self.view.verticalHeader().setDefaultSectionSize(20)
         self.view.setMinimumHeight(150)
         self.view.setWordWrap(False)
+        # Names of frames differ at their ends.
+        self.view.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.view.setToolTip("A click or the arrow keys go to a frame, the space bar ticks it.")
         header = self.view.horizontalHeader()
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
@@ -160,7 +162,7 @@ class FramesBox(QWidget):
         self.view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.view.setStyleSheet(TICKS)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        for column, width in ((NAME, 104), (GRID, 38), (REST, 38), (BLUR, 38)):
+        for column, width in ((NAME, 128), (GRID, 36), (REST, 36), (BLUR, 36)):
             self.view.setColumnWidth(column, width)
         self.summary = QLabel()
         layout = QVBoxLayout(self)

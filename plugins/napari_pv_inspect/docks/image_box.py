@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from qtpy.QtCore import QSignalBlocker, Qt, Signal
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QFileDialog,
-    QFormLayout,
     QGroupBox,
     QHBoxLayout,
     QLabel,
     QPushButton,
+    QVBoxLayout,
     QWidget,
 )
 
 from napari_pv_inspect.cell_renderer import lambda_in_use
 from napari_pv_inspect.docks.lambda_plot import LambdaPlot
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.docks.slider import SettingSlider, setting_tooltip
 from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.presets import PRESET_FIELDS, read_preset, write_preset
-from pv_inspect.errors import InspectionError
 from pv_inspect.reconstruction import TYPICAL_SIGMA_LR_PX, Reconstruction
 from pv_inspect.settings import Settings
 
@@ -59,14 +55,18 @@ class ImageBox(QGroupBox):
         super().__init__("Module image", parent)
         self._model = model
         self._live = live
-        self.magnification = SettingSlider("magnification", 1.0, 6.0, decimals=2)
-        self.prior_weight = SettingSlider("prior_weight", *LAMBDA_RANGE, 4, logarithmic=True)
-        self.automatic = QCheckBox("Lambda automatic")
+        self.magnification = SettingSlider("magnification", "Magnification", 1.0, 6.0, decimals=2)
+        self.prior_weight = SettingSlider(
+            "prior_weight", "Lambda", *LAMBDA_RANGE, 4, logarithmic=True
+        )
+        self.automatic = QCheckBox("automatic")
         self.automatic.setToolTip(
             "Choose lambda so that the image predicts pixels best that it has not seen."
         )
-        self.psf_sigma = SettingSlider("psf_sigma_lr_px", *SIGMA_RANGE, 2, logarithmic=True)
-        self.estimated = QCheckBox("PSF estimated")
+        self.psf_sigma = SettingSlider(
+            "psf_sigma_lr_px", "PSF sigma, LR px", *SIGMA_RANGE, 2, logarithmic=True
+        )
+        self.estimated = QCheckBox("estimated")
         self.estimated.setToolTip(
             "Estimate the blur of the lens from the frames. Unit of the slider: LR px."
         )
@@ -84,10 +84,7 @@ class ImageBox(QGroupBox):
         self.plot = LambdaPlot()
         self.show_live = QPushButton("Live cell")
         self.show_live.setToolTip("Show the selected cell large while the sliders move.")
-        self.load = QPushButton("Load preset...")
-        self.load.setToolTip("Take the settings of this page from a file; the module's own stay.")
-        self.save = QPushButton("Save preset...")
-        self.save.setToolTip("Keep the settings of this page in a file for other modules.")
+        self.presets = PresetMenu(model, live.tuning)
         self._arrange()
         self.magnification.changed.connect(self._on_magnification)
         self.prior_weight.changed.connect(self._on_prior_weight)
@@ -98,56 +95,27 @@ class ImageBox(QGroupBox):
         self.motion.toggled.connect(self._on_motion)
         self.plot.chosen.connect(self._on_chosen)
         self.show_live.clicked.connect(self.live_wanted)
-        self.load.clicked.connect(self._on_load)
-        self.save.clicked.connect(self._on_save)
         listen(model.settings_changed, self._on_settings)
         listen(model.inspection_changed, self._on_inspection)
         self._on_inspection()
 
-    def load_preset(self, path: Path) -> None:
-        """Take a preset over as one edit; what is wrong with it becomes a notice."""
-        try:
-            preset = read_preset(path)
-        except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
-        else:
-            self._live.tuning.apply(preset, PRESET_FIELDS, f"Load preset {path.stem}")
-            self._model.notice(f"Preset {path.stem} loaded.")
-
-    def save_preset(self, path: Path) -> None:
-        """Write the settings as a preset; what is wrong becomes a notice."""
-        path = path if path.suffix else path.with_suffix(".toml")
-        try:
-            write_preset(self._model.settings, path)
-        except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
-        else:
-            self._model.notice(f"Preset saved to {path}.")
-
     def _arrange(self) -> None:
+        self.prior_weight.put_in_head(self.automatic)
+        self.psf_sigma.put_in_head(self.estimated)
+        prior = QHBoxLayout()
+        label = QLabel("Prior")
+        label.setBuddy(self.prior)
+        prior.addWidget(label)
+        prior.addWidget(self.prior, 1)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.show_live)
         for slider in (self.magnification, self.prior_weight, self.psf_sigma):
-            # Beside a scroll bar the buttons of the number would be cut off.
-            slider.number.setMinimumWidth(92)
-            slider.slider.setMinimumWidth(40)
-        marks = QHBoxLayout()
-        marks.addWidget(self.automatic)
-        marks.addWidget(self.estimated)
-        files = QHBoxLayout()
-        for button in (self.load, self.save):
-            files.addWidget(button)
-        form = QFormLayout(self)
-        form.setContentsMargins(6, 4, 6, 4)
-        form.setVerticalSpacing(4)
-        form.addRow(self.show_live)
-        form.addRow("Magnification", self.magnification)
-        form.addRow("Lambda", self.prior_weight)
-        form.addRow("PSF sigma", self.psf_sigma)
-        form.addRow(marks)
-        form.addRow("Prior", self.prior)
-        form.addRow(self.motion)
-        form.addRow(QLabel("Held-out residual over lambda"))
-        form.addRow(self.plot)
-        form.addRow(files)
+            layout.addWidget(slider)
+        layout.addLayout(prior)
+        layout.addWidget(self.motion)
+        layout.addWidget(QLabel("Held-out residual over lambda"))
+        layout.addWidget(self.plot)
+        layout.addWidget(self.presets)
 
     def _on_magnification(self, value: float) -> None:
         self._model.change_settings(magnification=value)
@@ -217,13 +185,3 @@ class ImageBox(QGroupBox):
     def _made(self) -> Reconstruction | None:
         inspection = self._model.inspection
         return None if inspection is None else inspection.reconstruction
-
-    def _on_load(self) -> None:
-        path = QFileDialog.getOpenFileName(self, "Preset", "", "Settings (*.toml)")[0]
-        if path:
-            self.load_preset(Path(path))
-
-    def _on_save(self) -> None:
-        path = QFileDialog.getSaveFileName(self, "Preset", "preset.toml", "Settings (*.toml)")[0]
-        if path:
-            self.save_preset(Path(path))

@@ -1,4 +1,4 @@
-"""The dock *Inspect module*: open, then a page for each task; run and save below."""
+"""The dock *Inspect module*: what is open, what comes next, a page for each task, the result."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from qtpy.QtWidgets import (
     QDockWidget,
     QFileDialog,
     QFrame,
-    QHBoxLayout,
+    QGridLayout,
+    QGroupBox,
     QLabel,
     QPushButton,
     QScrollArea,
@@ -21,8 +22,10 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.elided import ElidedLabel
 from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.frames_box import FramesBox
+from napari_pv_inspect.docks.hand import STYLE, CalmWheel, finish_typing
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
@@ -44,7 +47,7 @@ from pv_inspect.settings import Stage
 
 __all__ = ["InspectDock"]
 
-WIDTH = 330
+WIDTH = 312
 PAGE_OF_STEP = {
     "load": "Frames",
     "detect": "Grid",
@@ -62,13 +65,16 @@ class InspectDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self.bench = bench = Workbench.of(napari_viewer)
-        self.open_folder = QPushButton("Open folder...")
-        self.open_folder.setToolTip("A folder of 8 or 16 bit TIFF or PNG frames of one module.")
+        self.open_folder = QPushButton("Open...")
+        self.open_folder.setToolTip(
+            "Open a folder: 8 or 16 bit TIFF or PNG frames of one module, or a result."
+        )
         self.open_sample = QPushButton("Sample")
         self.open_sample.setToolTip("Open the sample module.")
-        self.headline = QLabel()
-        self.headline.setWordWrap(True)
-        self.steps = StepsBox(bench.model)
+        self.name, self.headline = ElidedLabel(), QLabel()
+        self.name.setStyleSheet("font-weight: bold")
+        self.run = RunBox(bench.model)
+        self.steps = StepsBox(bench.model, self.run.run)
         self.frames = FramesBox(bench)
         self.references = ReferenceBox(bench.model)
         self.module = ModuleBox(bench.model)
@@ -77,16 +83,21 @@ class InspectDock(QWidget):
         self.image = ImageBox(bench.model, bench.live_cell)
         self.verdict = ReviewBox(bench.model, bench.review, bench.history)
         self.export = ExportBox(bench.model, bench.review.state)
-        self.run = RunBox(bench.model)
         self.result = ResultBox(bench.model, bench.navigator)
         self.setMinimumWidth(WIDTH)
-        sources = QHBoxLayout()
-        sources.addWidget(self.open_folder, 2)
-        sources.addWidget(self.open_sample, 1)
+        sources = QGridLayout()
+        sources.setVerticalSpacing(0)
+        sources.addWidget(self.name, 0, 0)
+        sources.addWidget(self.headline, 1, 0)
+        sources.addWidget(self.open_folder, 0, 1, 2, 1)
+        sources.addWidget(self.open_sample, 0, 2, 2, 1)
+        sources.setColumnStretch(0, 1)
         layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 2, 6, 4)
+        layout.setSpacing(4)
         layout.addLayout(sources)
-        layout.addWidget(self.headline)
         layout.addWidget(self.steps)
+        layout.addWidget(self.run)
         self.pages = QTabWidget()
         self.add_page(
             "Frames", "Which frames are used, and how they were read.", self.frames, self.references
@@ -102,8 +113,9 @@ class InspectDock(QWidget):
         self.add_page("Review", "What you say about the cells.", self.verdict, self.export)
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
-        layout.addWidget(self.run)
         layout.addWidget(self.result)
+        self.setStyleSheet(STYLE)
+        self._calm = CalmWheel(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
@@ -125,8 +137,12 @@ class InspectDock(QWidget):
         """Add a page of boxes, one below the other; it scrolls where the screen is small."""
         content = QWidget()
         column = QVBoxLayout(content)
-        column.setContentsMargins(2, 4, 2, 2)
+        column.setContentsMargins(0, 4, 0, 0)
+        column.setSpacing(4)
         for box in boxes:
+            if isinstance(box, QGroupBox) and (inside := box.layout()) is not None:
+                inside.setContentsMargins(6, 2, 6, 4)
+                inside.setSpacing(4)
             expands = box.sizePolicy().verticalPolicy() == QSizePolicy.Policy.Expanding
             column.addWidget(box, 100 if expands else 0)
         column.addStretch(1)
@@ -150,18 +166,23 @@ class InspectDock(QWidget):
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
         if sequence is None:
-            self.headline.setText("No sequence yet.")
+            self._tell("Nothing is open.", "", "")
             return
         height, width = sequence.shape
-        self.headline.setText(
-            f"<b>{sequence.source.name}</b>: {len(sequence)} frames, {width} x {height} px, "
-            f"{sequence.bit_depth} bit"
+        facts = f"{len(sequence)} frames, {width} x {height} px"
+        self._tell(
+            sequence.source.name, facts, f"{sequence.source}: {facts}, {sequence.bit_depth} bit"
         )
-        self.headline.setToolTip(str(sequence.source))
 
     def _on_result(self, result: Result) -> None:
-        self.headline.setText(f"<b>{result.folder.name}</b>: a result without its frames")
-        self.headline.setToolTip(str(result.folder))
+        self._tell(result.folder.name, "a result without its frames", str(result.folder))
+
+    def _tell(self, name: str, facts: str, tip: str) -> None:
+        """Say what is open."""
+        self.name.setText(name)
+        self.headline.setText(facts)
+        for label in (self.name, self.headline):
+            label.setToolTip(tip)
 
     def _on_deed(self, deed: Deed) -> None:
         if deed is Deed.OPEN:
@@ -220,13 +241,20 @@ class InspectDock(QWidget):
     def _on_open_sample(self) -> None:
         self.bench.open(sample_folder())
 
+    def _settle(self) -> None:
+        """Take over what is still in the hand, before a run reads the settings."""
+        finish_typing()
+        self.bench.history.settle()
+
     def _on_detect(self) -> None:
+        self._settle()
         self.bench.runs.start(until=Stage.CALIBRATE)
 
     def _on_live(self) -> None:
         show_live_cell(self.bench, self)
 
     def _on_run(self) -> None:
+        self._settle()
         self.bench.runs.start()
 
     def _on_cancel(self) -> None:

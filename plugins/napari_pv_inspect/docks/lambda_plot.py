@@ -114,8 +114,12 @@ class LambdaPlot(QWidget):
                 x = self.x_of(weight)
                 painter.setPen(QPen(colour, 2, style))
                 painter.drawLine(QPointF(x, area.top()), QPointF(x, area.bottom()))
-                # The two words stand on either side, unless there is no room.
-                left = style is dashed or x > area.right() - 40
+                # The words stand on the outer sides of the two lines, unless there is no room.
+                other = self._present if style is dashed else self._automatic
+                left = x < area.right() - 40 if other is None else weight < other
+                if weight == other:
+                    left = style is dashed
+                left = (left and x > area.left() + 40) or x > area.right() - 40
                 room = QRectF(x - 63 if left else x + 3, 0.0, 60, area.top())
                 side = Qt.AlignmentFlag.AlignRight if left else Qt.AlignmentFlag.AlignLeft
                 painter.drawText(room, int(side | Qt.AlignmentFlag.AlignVCenter), name)

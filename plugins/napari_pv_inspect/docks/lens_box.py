@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
     QFileDialog,
     QGroupBox,
@@ -44,11 +45,14 @@ class LensBox(QGroupBox):
         super().__init__("Lens", parent)
         self._model = model
         self._live = live
-        self.kappa = SettingSlider("kappa", -KAPPA_RANGE, KAPPA_RANGE, decimals=4)
+        self.kappa = SettingSlider("kappa", "Kappa", -KAPPA_RANGE, KAPPA_RANGE, decimals=4)
         self.fit = QPushButton("Fit")
         self.fit.setToolTip("Let the fit choose kappa, and show the fitted grid again.")
         self.residual = QLabel("kappa is fitted with the grid.")
         self.residual.setWordWrap(True)
+        # The curve below must not jump while a line more comes and goes.
+        self.residual.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
+        self.residual.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.curve = CurveView()
         self.load = QPushButton("Load camera...")
         self.load.setToolTip(setting_tooltip("calibration_file"))
@@ -58,10 +62,7 @@ class LensBox(QGroupBox):
         self.clear = QToolButton()
         self.clear.setText("x")
         self.clear.setToolTip("Forget the camera file: the camera is fitted again.")
-        row = QHBoxLayout()
-        row.addWidget(QLabel("Kappa"))
-        row.addWidget(self.kappa, 1)
-        row.addWidget(self.fit)
+        self.kappa.put_in_head(self.fit)
         files = QHBoxLayout()
         files.addWidget(self.load)
         files.addWidget(self.save)
@@ -69,7 +70,7 @@ class LensBox(QGroupBox):
         loaded.addWidget(self.file, 1)
         loaded.addWidget(self.clear)
         layout = QVBoxLayout(self)
-        layout.addLayout(row)
+        layout.addWidget(self.kappa)
         layout.addWidget(self.residual)
         layout.addWidget(self.curve)
         layout.addLayout(files)

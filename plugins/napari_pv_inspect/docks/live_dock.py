@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from napari.components import ViewerModel
 from qtpy.QtCore import Qt
 from qtpy.QtGui import QHideEvent, QShowEvent
 from qtpy.QtWidgets import (
     QCheckBox,
-    QComboBox,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -20,9 +21,11 @@ from qtpy.QtWidgets import (
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.cell_renderer import CellPicture
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.docks.side_box import SideBox
 from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.docks.trial_list import TrialList
 from napari_pv_inspect.live_cell import Source
+from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
 
@@ -41,12 +44,17 @@ class LiveDock(QWidget):
         self._picture: CellPicture | None = None
         self._limits: tuple[float, float] | None = None
         self.view = SwipeView()
-        self.source = QComboBox()
-        self.source.setToolTip("What is shown left of the divider.")
-        for source in Source:
-            self.source.addItem(source.value, source)
+        self.shown = SideBox(Source.LIVE)
+        self.shown.setToolTip(
+            "What is shown right of the divider: the cell with the settings of the controls, or a "
+            "trial. A control that is moved brings the live cell back."
+        )
+        self.against = SideBox(Source.BICUBIC, Source.PREVIOUS, Source.RUN, Source.NOTHING)
+        self.against.setToolTip("What is shown left of the divider: any of these, or a trial.")
         self.flicker = QCheckBox("Flicker")
-        self.flicker.setToolTip("Show both in turns, twice a second: the eye catches what differs.")
+        self.flicker.setToolTip(
+            "Show both in turns, twice a second: the eye catches what differs (F)."
+        )
         self.contrast = QPushButton("Contrast")
         self.contrast.setToolTip("Fit black and white to this cell; both pictures share them.")
         self.caption = QLabel()
@@ -54,8 +62,11 @@ class LiveDock(QWidget):
         self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.trials = TrialList(bench.tuning)
         bar, below = QHBoxLayout(), QHBoxLayout()
-        bar.addWidget(QLabel("Against"))
-        bar.addWidget(self.source, 1)
+        for text, box in (("Against", self.against), ("Show", self.shown)):
+            label = QLabel(text)
+            label.setBuddy(box)
+            bar.addWidget(label)
+            bar.addWidget(box, 1)
         below.addWidget(self.flicker, 1)
         below.addWidget(self.contrast)
         top = QWidget()
@@ -74,7 +85,8 @@ class LiveDock(QWidget):
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addWidget(parts)
         self.setMinimumWidth(300)
-        self.source.activated.connect(self._on_change)
+        self.shown.activated.connect(self._on_change)
+        self.against.activated.connect(self._on_change)
         self.flicker.toggled.connect(self.view.set_flicker)
         self.contrast.clicked.connect(self._on_contrast)
         self.trials.chosen.connect(self._on_chosen)
@@ -83,7 +95,19 @@ class LiveDock(QWidget):
         self._live.failed.connect(self._on_failure)
         listen(bench.model.inspection_changed, self._on_inspection)
         listen(bench.model.cell_selected, self._on_cell)
-        listen(bench.tuning.changed, self._on_change)
+        listen(bench.model.settings_changed, self._on_settings)
+        listen(bench.tuning.changed, self._on_trials)
+        if bench.shortcuts is not None:
+            for sequence, text, slot in (
+                ("F", "Flicker: both pictures in turns", self.flicker.toggle),
+                ("Left", "Move the divider to the left", partial(self.view.step, -1)),
+                ("Right", "Move the divider to the right", partial(self.view.step, 1)),
+                ("Home", "Show only what stands right", partial(self.view.move_divider, 0.0)),
+                ("End", "Show only what stands left", partial(self.view.move_divider, 1.0)),
+            ):
+                within = self if sequence == "F" else self.view
+                bench.shortcuts.add(Key(sequence, text, "Live cell"), slot, within=within)
+        self._on_trials()
         self._on_inspection(bench.model.inspection)
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802 (Qt's name)
@@ -96,9 +120,10 @@ class LiveDock(QWidget):
         super().hideEvent(event)
         self._live.set_active(False)
 
-    def choose_source(self, source: Source) -> None:
-        """Choose what to compare with."""
-        self.source.setCurrentIndex([*Source].index(source))
+    def compare(self, against: Source | int, shown: Source | int = Source.LIVE) -> None:
+        """Choose both sides: sources, or numbers of trials."""
+        self.against.choose(against)
+        self.shown.choose(shown)
         self._on_change()
 
     def _on_picture(self, picture: CellPicture) -> None:
@@ -116,27 +141,40 @@ class LiveDock(QWidget):
         """Show what there is now, on both sides."""
         if self._picture is None or self._limits is None:
             return
-        source, chosen = self.source.currentData(), self.trials.selected
-        after, after_text = self._picture, "live"
-        if source is Source.CHOSEN and len(chosen) == 2:
-            second = self._live.reference(Source.CHOSEN, chosen[1])
-            if second is not None:
-                after, after_text = second, chosen[1].title
-        trial = chosen[0] if chosen else None
-        before = self._live.reference(source, trial)
-        text = source.value
-        if source is Source.CHOSEN and trial is not None:
-            text = trial.title
-        elif source is Source.BICUBIC and before is not None:
-            text = f"bicubic, {before.caption}"
+        before, before_text = self._side(self.against.choice)
+        after, after_text = self._side(self.shown.choice)
+        if after is None:
+            after, after_text = self._picture, Source.LIVE.value
         image = None if before is None else grey_image(before.image, self._limits)
-        self.view.show_before(image, text)
+        self.view.show_before(image, before_text)
         self.view.show_after(grey_image(after.image, self._limits), after_text)
 
+    def _side(self, choice: Source | int) -> tuple[CellPicture | None, str]:
+        """Picture and text of one side; None if there is none, or none yet."""
+        if isinstance(choice, int):
+            trials = self.bench.tuning.trials
+            trial = next((one for one in trials if one.number == choice), None)
+            if trial is None:
+                return None, ""
+            return self._live.reference(trial), trial.title
+        picture = self._live.reference(choice)
+        if choice is Source.BICUBIC and picture is not None:
+            return picture, f"bicubic, {picture.caption}"
+        return picture, choice.value
+
     def _on_chosen(self) -> None:
-        if self.trials.selected and self.source.currentData() is not Source.CHOSEN:
-            self.source.setCurrentIndex([*Source].index(Source.CHOSEN))
+        chosen = [trial.number for trial in self.trials.selected]
+        if chosen:
+            self.compare(*chosen)
+
+    def _on_trials(self) -> None:
+        for box in (self.against, self.shown):
+            box.refill(self.bench.tuning.trials, self.trials.trials.icon)
         self._on_change()
+
+    def _on_settings(self, _: object) -> None:
+        if self.shown.choice is not Source.LIVE:
+            self.compare(self.against.choice)
 
     def _on_contrast(self) -> None:
         if self._picture is not None:

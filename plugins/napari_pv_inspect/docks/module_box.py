@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from qtpy.QtCore import QSignalBlocker, Signal
 from qtpy.QtWidgets import (
+    QAbstractSpinBox,
     QDoubleSpinBox,
-    QFormLayout,
+    QGridLayout,
     QGroupBox,
     QLabel,
     QPushButton,
@@ -46,12 +47,20 @@ class ModuleBox(QGroupBox):
         self.detect.setToolTip(
             "Find the crossing points in all frames and fit camera and grid; nothing else is run."
         )
-        form = QFormLayout(self)
-        form.addRow("Rows", self.rows)
-        form.addRow("Columns", self.cols)
-        form.addRow("Cell aspect", self.aspect)
-        form.addRow(self.confirm)
-        form.addRow(self.detect)
+        grid = QGridLayout(self)
+        for column, (title, field) in enumerate(
+            (("Rows", self.rows), ("Columns", self.cols), ("Cell aspect", self.aspect))
+        ):
+            # The arrow keys step it; buttons would take the room of the figures.
+            field.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+            field.setMinimumWidth(52)
+            label = QLabel(title)
+            label.setBuddy(field)
+            label.setToolTip(field.toolTip())
+            grid.addWidget(label, 0, column)
+            grid.addWidget(field, 1, column)
+        grid.addWidget(self.detect, 1, 3)
+        grid.addWidget(self.confirm, 2, 0, 1, 4)
         self.rows.valueChanged.connect(self._on_rows)
         self.cols.valueChanged.connect(self._on_cols)
         self.aspect.valueChanged.connect(self._on_aspect)

@@ -106,8 +106,10 @@ class PointsBox(QGroupBox):
         text = f"{int(points.measured.sum())} of {len(points.measured)} measured"
         edited = bench.editor.edits.count(frame)
         text += f", {edited} edited" if edited else ""
-        fit = bench.editor.calibration
-        if fit is not None and fit.used[frame]:
+        fit, held = bench.editor.calibration, bench.live.held_rms_px
+        if held is not None:
+            text += f"; residual here {held:.2f} px"
+        elif fit is not None and fit.used[frame]:
             text += f"; residual {fit.rms_px[frame]:.2f} px"
         elif fit is not None:
             text += f"; rejected: {fit.why[frame].rstrip('.')}"

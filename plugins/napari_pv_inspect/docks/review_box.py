@@ -128,6 +128,7 @@ class ReviewBox(QGroupBox):
         self._reviewer.goes_on = goes_on
 
     def _on_undo(self) -> None:
+        self._history.settle()
         if self._history.undo_text is None:
             self._reviewer.state.undo_stored()
         else:

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 from time import monotonic
 
-from qtpy.QtCore import Signal
+from qtpy.QtCore import Qt, Signal
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
+from napari_pv_inspect.docks.hand import set_primary
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.remaining import remaining_text
+from napari_pv_inspect.steps import Deed, next_step
 from pv_inspect.settings import Stage
 
 __all__ = ["RunBox"]
 
 WARNING_COLOUR = "#E69F00"
+RUN_ALL = "Run all"
+ALL_TIP = "Do everything from the grid to the crack map, in the background."
+RUN_TIP = (
+    "While a run goes on: with changed settings the new run ends it and takes its place; after "
+    "Detect it follows."
+)
+BEFORE = (Deed.CONFIRM, Deed.DETECT)
+"""Steps beside which a run of everything is offered."""
 
 
 class RunBox(QWidget):
-    """*Run* and *Cancel* with progress, and what the next run will do."""
+    """How far the run is, and *Cancel*; *Run* is placed by whoever makes the box.
+
+    *Run* is called what the next run does when that is the next step, and then stands out.
+    """
 
     run_wanted = Signal()
     cancel_wanted = Signal()
@@ -26,26 +39,26 @@ class RunBox(QWidget):
     def __init__(self, model: WorkbenchModel, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._model = model
-        self.run = QPushButton("Run")
-        self.run.setToolTip(
-            "Do all stages that are not up to date, in the background. While a run goes on: with "
-            "changed settings the new run ends it and takes its place; after Detect it follows."
-        )
+        self.run = QPushButton(RUN_ALL)
         self._begun_s: float | None = None
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("Stop the run at its next step; a whole result from before stays.")
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
         self.progress.setTextVisible(True)
+        self.progress.setToolTip("How much of the run is done, all stages together. Unit: %.")
         self.message = QLabel()
         self.message.setWordWrap(True)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.run, 2)
-        buttons.addWidget(self.cancel, 1)
+        # One line more or less must not move the page below.
+        self.message.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
+        self.message.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        bar = QHBoxLayout()
+        bar.addWidget(self.progress, 1)
+        bar.addWidget(self.cancel)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(buttons)
-        layout.addWidget(self.progress)
+        layout.setSpacing(3)
+        layout.addLayout(bar)
         layout.addWidget(self.message)
         self.run.clicked.connect(self.run_wanted)
         self.cancel.clicked.connect(self.cancel_wanted)
@@ -70,11 +83,22 @@ class RunBox(QWidget):
         elif self._begun_s is None:
             self._begun_s = monotonic()
         self.cancel.setEnabled(running)
+        self._name_run()
+        for widget in (self.progress, self.cancel):
+            widget.setVisible(not idle)
         if model.run_state is RunState.STOPPING:
             self.message.setText("Stopping at the next step ...")
         elif idle:
             self.progress.setValue(1000 if model.inspection is not None and not model.to_do else 0)
             self.message.setText(self._advice())
+
+    def _name_run(self) -> None:
+        step, idle = next_step(self._model), self._model.run_state is RunState.IDLE
+        comes_next = step.deed is Deed.RUN
+        self.run.setText(step.text if comes_next else RUN_ALL)
+        self.run.setToolTip(f"{step.tip} {RUN_TIP}" if comes_next else f"{ALL_TIP} {RUN_TIP}")
+        self.run.setVisible(comes_next or (idle and self.run.isEnabled() and step.deed in BEFORE))
+        set_primary(self.run, comes_next)
 
     def _advice(self) -> str:
         model = self._model

@@ -1,17 +1,26 @@
-"""A slider with a number beside it, for one setting; linear or logarithmic."""
+"""A slider with its title and number above it, for one setting; linear or logarithmic."""
 
 from __future__ import annotations
 
 import math
 
 from qtpy.QtCore import QSignalBlocker, Qt, Signal
-from qtpy.QtWidgets import QDoubleSpinBox, QHBoxLayout, QSlider, QWidget
+from qtpy.QtWidgets import (
+    QAbstractSpinBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLabel,
+    QSlider,
+    QVBoxLayout,
+    QWidget,
+)
 
 from pv_inspect.settings import Settings
 
 __all__ = ["SettingSlider", "setting_tooltip"]
 
 STEPS = 400
+NUMBER_WIDTH = 76
 
 
 def setting_tooltip(name: str) -> str:
@@ -27,8 +36,10 @@ class SettingSlider(QWidget):
     ----------
     name : str
         Field of Settings; gives the tooltip.
+    title : str
+        Stands above the slider.
     low, high : float
-        Range of the slider; the number beside it takes the same range.
+        Range of the slider and of the number.
     decimals : int
     logarithmic : bool
         Equal ways of the slider are equal ratios; needs ``low`` > 0.
@@ -39,6 +50,7 @@ class SettingSlider(QWidget):
     def __init__(
         self,
         name: str,
+        title: str,
         low: float,
         high: float,
         decimals: int,
@@ -57,14 +69,31 @@ class SettingSlider(QWidget):
             self.number.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         else:
             self.number.setSingleStep(max((high - low) / 100, 10.0**-decimals))
+        # The arrow keys step it; buttons would take the room of the slider.
+        self.number.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+        self.number.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.number.setFixedWidth(NUMBER_WIDTH)
         self.setObjectName(name)
         self.setToolTip(setting_tooltip(name))
-        layout = QHBoxLayout(self)
+        self.slider.setAccessibleName(title)
+        self.number.setAccessibleName(title)
+        self._head = QHBoxLayout()
+        self._head.addWidget(QLabel(title))
+        self._head.addStretch(1)
+        self._head.addWidget(self.number)
+        layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.slider, 1)
-        layout.addWidget(self.number)
+        layout.setSpacing(1)
+        layout.addLayout(self._head)
+        layout.addWidget(self.slider)
         self.slider.valueChanged.connect(self._on_slider)
         self.number.valueChanged.connect(self._on_number)
+
+    def put_in_head(self, widget: QWidget) -> None:
+        """Place a widget beside the number; the tab key comes to it first."""
+        self._head.insertWidget(self._head.count() - 1, widget)
+        QWidget.setTabOrder(self.number, widget)
+        QWidget.setTabOrder(widget, self.number)
 
     @property
     def value(self) -> float:

@@ -1,13 +1,21 @@
-"""The strip of steps at the top: where one is, and one button for what comes next."""
+"""The strip of steps at the top: where one is, and the button for what comes next."""
 
 from __future__ import annotations
 
 from qtpy.QtCore import QEvent, QPointF, QRectF, QSize, Qt, Signal
 from qtpy.QtGui import QColor, QHelpEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
-from qtpy.QtWidgets import QPushButton, QSizePolicy, QToolTip, QVBoxLayout, QWidget
+from qtpy.QtWidgets import (
+    QHBoxLayout,
+    QPushButton,
+    QSizePolicy,
+    QToolTip,
+    QVBoxLayout,
+    QWidget,
+)
 
+from napari_pv_inspect.docks.hand import set_primary
 from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.steps import Deed, Status, StepView, next_step, steps_of
 
 __all__ = ["StepLine", "StepsBox"]
@@ -120,21 +128,37 @@ def _calls(status: Status) -> bool:
 
 
 class StepsBox(QWidget):
-    """The strip and its button."""
+    """The strip and the button of the next step.
+
+    Where the next step is a run, or the end of one, the buttons of the run stand in its place:
+    there is one button for one thing.
+
+    Parameters
+    ----------
+    model : WorkbenchModel
+    run : QPushButton
+        Starts a run; stands beside the next step.
+    """
 
     wanted = Signal(object)
     step_clicked = Signal(str)
 
-    def __init__(self, model: WorkbenchModel, parent: QWidget | None = None) -> None:
+    def __init__(
+        self, model: WorkbenchModel, run: QPushButton, parent: QWidget | None = None
+    ) -> None:
         super().__init__(parent)
         self._model = model
         self.line = StepLine()
         self.next = QPushButton()
+        set_primary(self.next, True)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.next, 1)
+        buttons.addWidget(run)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(3)
         layout.addWidget(self.line)
-        layout.addWidget(self.next)
+        layout.addLayout(buttons)
         self.next.clicked.connect(self._on_next)
         self.line.step_clicked.connect(self.step_clicked)
         for signal in (
@@ -155,6 +179,8 @@ class StepsBox(QWidget):
         self.next.setText(step.text)
         self.next.setToolTip(step.tip)
         self.next.setEnabled(step.deed is not Deed.WAIT)
+        idle = self._model.run_state is RunState.IDLE
+        self.next.setVisible(idle and step.deed is not Deed.RUN)
 
     def _on_next(self) -> None:
         self.wanted.emit(next_step(self._model).deed)

@@ -45,9 +45,10 @@ class SwipeView(QWidget):
         self.setMinimumSize(160, 160)
         self.setCursor(Qt.CursorShape.SplitHCursor)
         self.setToolTip(
-            "Drag the divider, or move it with the arrow keys. Hold the space bar to see only "
-            "what it is compared with."
+            "Drag the divider, or click and move it with the arrow keys, Home and End. Hold the "
+            "space bar to see only what it is compared with."
         )
+        self.setAccessibleName("Two pictures of the cell with a divider")
         self._pictures: list[tuple[QImage | None, str]] = [(None, ""), (None, "")]
         self._scaled: dict[int, tuple[QSize, QImage]] = {}
         self._held = self._blink = False
@@ -117,7 +118,10 @@ class SwipeView(QWidget):
             painter.setPen(QPen(LINE, 2))
             painter.drawLine(QPointF(split, place.top()), QPointF(split, place.bottom()))
             painter.setBrush(LINE)
-            painter.drawEllipse(QPointF(split, place.center().y()), 5, 5)
+            if self.hasFocus():
+                # The arrow keys take hold of it.
+                painter.setPen(QPen(QColor("white"), 2))
+            painter.drawEllipse(QPointF(split, place.center().y()), 7, 7)
         if before is not None and (swiped or self.only_before):
             self._label(painter, before_text, Qt.AlignmentFlag.AlignLeft)
         if after is not None and not self.only_before:
@@ -138,9 +142,9 @@ class SwipeView(QWidget):
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802 (Qt's name)
         """Arrow keys move the divider; the space bar shows *before*."""
-        steps = {Qt.Key.Key_Left: -STEP, Qt.Key.Key_Right: STEP}
+        steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}
         if event.key() in steps:
-            self.move_divider(self.divider + steps[event.key()])
+            self.step(steps[event.key()])
         elif event.key() == Qt.Key.Key_Space:
             self._hold(True)
         else:
@@ -157,6 +161,10 @@ class SwipeView(QWidget):
         """A space bar that is let go elsewhere is let go."""
         self._hold(False)
         super().focusOutEvent(event)
+
+    def step(self, steps: int) -> None:
+        """Move the divider by some steps to the right."""
+        self.move_divider(self.divider + STEP * steps)
 
     def move_divider(self, share: float) -> None:
         """Put the divider at a share of the width, 0 to 1."""

@@ -72,7 +72,7 @@ class TrialModel(QAbstractListModel):
         if role in (Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.EditRole):
             return trial.title
         if role == Qt.ItemDataRole.DecorationRole:
-            return self._icon(trial)
+            return self.icon(trial)
         if role == Qt.ItemDataRole.FontRole and trial is self._tuning.current:
             font = QFont()
             font.setBold(True)
@@ -93,7 +93,8 @@ class TrialModel(QAbstractListModel):
             self._tuning.rename(trial, str(value))
         return True
 
-    def _icon(self, trial: Trial) -> QIcon:
+    def icon(self, trial: Trial) -> QIcon:
+        """Return the thumbnail of a trial."""
         if trial.number not in self._icons:
             image = grey_image(trial.picture.image, contrast_limits(trial.picture.image))
             scaled = image.scaled(
@@ -127,8 +128,8 @@ class TrialList(QWidget):
         self.view.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.view.setEditTriggers(QAbstractItemView.EditTrigger.EditKeyPressed)
         self.view.setToolTip(
-            "One picture per setting that was tried. Double-click: return to it. One selected: "
-            "compared with the live cell; two: with each other."
+            "One picture per setting that was tried, kept with the result. Double-click: return to "
+            "it. One selected: compared with the live cell; two (Ctrl + click): with each other."
         )
         self.back = QPushButton("Return")
         self.back.setToolTip("Set the controls as they were then (Ctrl+Z takes it back).")
@@ -147,7 +148,7 @@ class TrialList(QWidget):
         self.name.clicked.connect(self._on_name)
         self.view.selectionModel().selectionChanged.connect(self._on_selection)
         listen(tuning.changed, self._on_trials)
-        self._on_selection()
+        self._enable()
 
     @property
     def selected(self) -> tuple[Trial, ...]:
@@ -157,14 +158,17 @@ class TrialList(QWidget):
 
     def _on_trials(self) -> None:
         self.trials.refill()
-        self._on_selection()
+        self._enable()
         self.view.scrollToBottom()
 
     def _on_selection(self, *_: object) -> None:
+        self._enable()
+        self.chosen.emit()
+
+    def _enable(self) -> None:
         count = len(self.view.selectedIndexes())
         self.back.setEnabled(count == 1)
         self.name.setEnabled(count == 1)
-        self.chosen.emit()
 
     def _on_return(self, _: object = None) -> None:
         if self.selected:

@@ -36,9 +36,9 @@ class FramesLayer:
         sequence = layer.metadata.get(SEQUENCE_KEY)
         if not isinstance(sequence, Sequence) or layer is self._slot.layer:
             return False
-        earlier = self._slot.layer
-        if earlier is not None:
-            earlier.visible = False
+        if (earlier := self._slot.layer) is not None:
+            self._slot.drop()
+            layer.name = earlier.name
         self._slot.adopt(layer)
         if sequence is not self._model.sequence:
             self._model.open(sequence)
@@ -60,15 +60,10 @@ class FramesLayer:
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
         layer = self._slot.layer
-        if sequence is None and layer is not None:
-            layer.visible = False
-            self._slot = LayerSlot(self._viewer, Image)
-        if sequence is not None and (
-            layer is None or layer.metadata.get(SEQUENCE_KEY) is not sequence
-        ):
-            if layer is not None:
-                layer.visible = False
-                self._slot = LayerSlot(self._viewer, Image)
+        if layer is None or layer.metadata.get(SEQUENCE_KEY) is not sequence:
+            # It would hold on to its frames, and stretch the time slider.
+            self._slot.drop()
+        if sequence is not None and self._slot.layer is None:
             data, attributes, _ = sequence_layer(sequence)
             layer = Image(data, **{**attributes, "name": FRAMES})
             # The slot knows the layer before the viewer tells that it was added.

@@ -69,6 +69,6 @@ class GeometryLayers:
         frames = [self._bent.get(i, segments) for i, segments in enumerate(self._grid)]
         segments = np.concatenate(frames) if frames else np.empty((0, 2, 3))
         if len(segments):
-            self._grid_slot.put(segments)
+            self._grid_slot.redraw(segments)
         else:
             self._grid_slot.drop()

@@ -94,6 +94,9 @@ class ModuleLayers:
         self._know_cracks(None)
 
     def _on_sequence(self, _: Sequence | None) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
         for slot in self._slots.values():
             slot.drop()
         self._contrast_is_final = False
@@ -101,7 +104,12 @@ class ModuleLayers:
         self._know_cracks(None)
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
-        if inspection is None or (made := inspection.reconstruction) is None:
+        if inspection is None:
+            return
+        if (made := inspection.reconstruction) is None:
+            if self.grid is not None and self.grid.layout != inspection.layout:
+                # The image of other rows and columns is none of this module.
+                self._clear()
             return
         if made is not self._shown:
             self._put_image(made.image, made.grid)

@@ -14,6 +14,7 @@ from napari.utils.colormaps.standardize_color import transform_color
 from psygnal import Signal
 
 from napari_pv_inspect import appearance as look
+from napari_pv_inspect.edits import Point
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import RunState, WorkbenchModel
@@ -37,6 +38,9 @@ class PointsLayer:
     """
 
     mode_changed = Signal(str)
+    held = Signal(int, object)
+    """Frame, and where the hand holds its crossings just now: {number: (x, y)}, {} when it let go.
+    """
 
     def __init__(
         self, viewer: ViewerModel, model: WorkbenchModel, frames: FramesLayer, editor: PointEditor
@@ -49,6 +53,7 @@ class PointsLayer:
         self._drawn: tuple[object, ...] = ()
         self._layer: Points | None = None
         self._writing = False
+        self._held: dict[int, Point] = {}
         self._frame = 0
         self._slot = LayerSlot(
             viewer,
@@ -150,22 +155,30 @@ class PointsLayer:
 
     def _show(self, marks: CrossingMarks) -> None:
         before, self._marks = self._marks, marks
+        looks: dict[str, Any] = {}
+        if (
+            before is None
+            or self._slot.layer is not self._layer
+            or not np.array_equal(before.kind, marks.kind)
+        ):
+            looks = {
+                "features": {"crossing": marks.crossing, "kind": marks.kind},
+                "symbol": np.array(look.POINT_SYMBOLS)[marks.kind],
+                "size": np.array(look.POINT_SIZES)[marks.kind],
+                "border_color": COLOURS[marks.kind],
+                "face_color": FACES[marks.kind],
+            }
         # napari moves points within the array that it was given.
-        layer = self._slot.put(marks.points.copy())
-        new = layer is not self._layer
-        if new:
+        layer = self._slot.redraw(marks.points.copy(), **looks)
+        if layer is not self._layer:
             self._layer = layer
             layer.events.data.connect(self._on_data)
             layer.events.mode.connect(self._on_mode)
+            layer.events.set_data.connect(self._on_drawn)
             # napari pastes without telling anybody.
             layer.bind_key("Control-V", self._on_paste, overwrite=True)
-        if new or before is None or not np.array_equal(before.kind, marks.kind):
-            layer.features = {"crossing": marks.crossing, "kind": marks.kind}
-            layer.symbol = np.array(look.POINT_SYMBOLS)[marks.kind]
-            layer.size = np.array(look.POINT_SIZES)[marks.kind]
-            layer.border_color = COLOURS[marks.kind]
-            layer.face_color = FACES[marks.kind]
         layer.editable = self._model.run_state is RunState.IDLE
+        self._hold({})
 
     @contextmanager
     def _own_writing(self) -> Generator[None]:
@@ -180,6 +193,31 @@ class PointsLayer:
 
     def _on_paste(self, _: object = None) -> None:
         self._model.notice("Points can't be pasted: every crossing has one. Drag or add instead.")
+
+    def _on_drawn(self, _: object = None) -> None:
+        """See what the hand does between press and release, when napari holds its news back."""
+        marks, layer = self._marks, self._layer
+        if self._writing or marks is None or layer is None or self._slot.layer is not layer:
+            return
+        if not layer.events.data.blocked():
+            return
+        data = np.asarray(layer.data)
+        if data.shape == marks.points.shape:
+            self._hold(self._elsewhere(data, marks))
+
+    def _hold(self, held: dict[int, Point]) -> None:
+        if held != self._held:
+            self._held = held
+            self.held.emit(self._frames.frame, held)
+
+    def _elsewhere(self, data: Any, marks: CrossingMarks) -> dict[int, Point]:
+        """Crossings of the shown frame that the layer has at other places: {number: (x, y)}."""
+        moved = np.abs(data - marks.points).max(axis=1) > 1e-9
+        here = moved & self._in_frame(marks) & np.isfinite(data).all(axis=1)
+        return {
+            int(marks.crossing[i]): (float(data[i, 2]), float(data[i, 1]))
+            for i in np.flatnonzero(here)
+        }
 
     def _on_data(self, event: Any) -> None:
         if self._writing or event.action not in DONE or self._slot.layer is not self._layer:
@@ -207,17 +245,10 @@ class PointsLayer:
             here = new[np.round(new[:, 0]) == self._frames.frame]
             self._editor.add(self._frames.frame, [(float(x), float(y)) for _, y, x in here])
         elif action is ActionType.CHANGED and len(data) == n:
-            moved = np.abs(data - marks.points).max(axis=1) > 1e-9
-            here = moved & self._in_frame(marks)
-            if moved.any() and not here.any():
+            here = self._elsewhere(data, marks)
+            if not here and (np.abs(data - marks.points) > 1e-9).any():
                 self._model.notice("Only points of the shown frame can be moved.")
-            self._editor.move(
-                self._frames.frame,
-                {
-                    int(marks.crossing[i]): (float(data[i, 2]), float(data[i, 1]))
-                    for i in np.flatnonzero(here & np.isfinite(data).all(axis=1))
-                },
-            )
+            self._editor.move(self._frames.frame, here)
 
     def _remove(self, rows: list[int]) -> None:
         marks = self._marks

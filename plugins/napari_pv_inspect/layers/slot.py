@@ -6,6 +6,7 @@ from typing import Any
 
 from napari.components import ViewerModel
 from napari.layers import Layer
+from numpy.typing import NDArray
 
 __all__ = ["LayerSlot"]
 
@@ -42,7 +43,9 @@ class LayerSlot:
         if layer is None:
             selected = self._viewer.layers.selection.active
             layer = self._kind(data, **{**self._appearance, **attributes})
-            self._layer = self._viewer.add_layer(layer)
+            # Known before it is added: adding moves the time slider, whose followers may put again.
+            self._layer = layer
+            self._viewer.add_layer(layer)
             # A new layer of ours takes the user's tools away from what they were on.
             if selected is not None and selected in self._viewer.layers:
                 self._viewer.layers.selection.active = selected
@@ -53,6 +56,22 @@ class LayerSlot:
             if self._visible_before_veil is not None:
                 layer.visible = self._visible_before_veil
         self._visible_before_veil = None
+        return layer
+
+    def redraw(self, data: NDArray[Any], **attributes: Any) -> Layer:
+        """Show ``data`` as `put` does, at a fraction of the cost where only numbers differ.
+
+        Extent and thumbnail stay as they were: for what moves a little, under the hand.
+        """
+        layer = self.layer
+        if layer is None or self._visible_before_veil is not None or layer.data.shape != data.shape:
+            return self.put(data, **attributes)
+        # napari draws anew at each attribute: here once, at the end.
+        with layer.events.blocker_all():
+            layer.data[...] = data
+            for name, value in attributes.items():
+                setattr(layer, name, value)
+        layer.refresh(thumbnail=False, extent=False)
         return layer
 
     def veil(self) -> None:

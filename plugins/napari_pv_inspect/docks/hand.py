@@ -1,0 +1,78 @@
+"""How the controls answer the hand: focus that is seen, one primary button, a calm wheel."""
+
+from __future__ import annotations
+
+from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtWidgets import (
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QPushButton,
+    QSlider,
+    QWidget,
+)
+
+from napari_pv_inspect.appearance import FOCUS_COLOUR, PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR
+
+__all__ = ["STYLE", "CalmWheel", "finish_typing", "set_primary"]
+
+# A border takes its pixel from the padding: nothing moves when the focus comes.
+STYLE = f"""
+QPushButton:focus, QToolButton:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 3px; }}
+QComboBox:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 2px 9px 2px 7px; }}
+QAbstractSpinBox {{ min-width: 30px; padding: 1px 4px; }}
+QAbstractSpinBox:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 0px 3px; }}
+QLineEdit:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 1px; }}
+QTableView:focus {{ border: 1px solid {FOCUS_COLOUR}; }}
+QCheckBox::indicator:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 0px; }}
+QSlider::handle:horizontal:focus {{ border: 2px solid {FOCUS_COLOUR}; }}
+QTabBar::tab:selected:focus {{ border: 1px solid {FOCUS_COLOUR}; }}
+QPushButton[primary="true"]:enabled {{
+  background-color: {PRIMARY_COLOUR}; color: white; font-weight: bold; min-height: 20px;
+}}
+QPushButton[primary="true"]:enabled:hover {{ background-color: {PRIMARY_HOVER_COLOUR}; }}
+QPushButton[primary="true"]:enabled:focus {{ border: 2px solid {FOCUS_COLOUR}; padding: 2px; }}
+"""
+
+
+def set_primary(button: QPushButton, primary: bool) -> None:
+    """Make a button the one that catches the eye, or plain again."""
+    if bool(button.property("primary")) is not primary:
+        button.setProperty("primary", primary)
+        button.style().unpolish(button)
+        button.style().polish(button)
+
+
+def finish_typing() -> None:
+    """Take over a number that is being typed: not every platform moves the focus on a click."""
+    field = QApplication.focusWidget()
+    if isinstance(field, QAbstractSpinBox):
+        field.interpretText()
+
+
+class CalmWheel(QObject):
+    """Keeps the wheel from changing values that do not have the focus; the page scrolls instead.
+
+    Parameters
+    ----------
+    within : QWidget
+        All numbers, sliders and lists in it, as they are now.
+    """
+
+    def __init__(self, within: QWidget) -> None:
+        super().__init__(within)
+        for kind in (QAbstractSpinBox, QSlider, QComboBox):
+            for field in within.findChildren(kind):
+                field.installEventFilter(self)
+                field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
+        """Hand the wheel on to what lies below."""
+        if (
+            event.type() == QEvent.Type.Wheel
+            and isinstance(watched, QWidget)
+            and not watched.hasFocus()
+        ):
+            event.ignore()
+            return True
+        return False

@@ -1,0 +1,67 @@
+"""To drive long work: a generator that yields how far it is and returns what it made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import Any, TypeVar
+
+__all__ = ["relayed", "result_of"]
+
+A = TypeVar("A")
+B = TypeVar("B")
+T = TypeVar("T")
+
+
+def relayed(work: Generator[A, None, T], tell: Callable[[A], B]) -> Generator[B, None, T]:
+    """Do a part of one's work by another generator, which says in its own words how far it is.
+
+    Parameters
+    ----------
+    work : generator
+        Closed with this one.
+    tell : callable
+        Turns what the part yields into what the whole yields.
+
+    Returns
+    -------
+    object
+        What the work returned.
+    """
+    try:
+        while True:
+            try:
+                item = next(work)
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            yield tell(item)
+    finally:
+        work.close()
+
+
+def result_of(work: Generator[A, None, T], each: Callable[[A], Any] | None = None) -> T:
+    """Drive work to its end.
+
+    Parameters
+    ----------
+    work : generator
+        Closed if ``each`` raises.
+    each : callable, optional
+        Gets everything that the work yields.
+
+    Returns
+    -------
+    object
+        What the work returned.
+    """
+    try:
+        while True:
+            try:
+                item = next(work)
+            except StopIteration as end:
+                result: T = end.value
+                return result
+            if each is not None:
+                each(item)
+    finally:
+        work.close()

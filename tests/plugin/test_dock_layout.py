@@ -1,0 +1,181 @@
+"""The dock has room for its pages at 1280 x 800, and one button for one thing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QDockWidget,
+    QLabel,
+    QSlider,
+)
+
+from napari_pv_inspect.application import build
+from napari_pv_inspect.docks.elided import ElidedLabel
+from napari_pv_inspect.docks.inspect import WIDTH
+from napari_pv_inspect.model import RunState
+from pv_inspect.sequence import Sequence
+
+SIZE = (1280, 800)
+
+
+@pytest.fixture
+def window(
+    make_napari_viewer: Callable[..., Any],
+    tiny_sequence: Sequence,
+    replayed: Any,
+    qtbot: QtBot,
+) -> tuple[Any, Any]:
+    """Window of 1280 x 800 with a whole inspection, gallery below, and its dock."""
+    viewer = make_napari_viewer(show=True)
+    main = viewer.window._qt_window
+    dock, _ = build(viewer)
+    dock.bench.model.open(tiny_sequence)
+    dock.bench.model.change_settings(magnification=2.0, max_iterations=5)
+    main.resize(*SIZE)
+    dock.run.run.click()
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.wait(100)
+    return viewer, dock
+
+
+@pytest.mark.xvfb
+@pytest.mark.parametrize("running", [False, True])
+def test_no_page_scrolls_at_1280_x_800(
+    window: tuple[Any, Any], replayed: Any, qtbot: QtBot, running: bool
+) -> None:
+    viewer, dock = window
+    if running:
+        replayed.go_on = False
+        dock.bench.model.change_settings(prior_weight=0.5)
+        dock.run.run.click()
+        qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
+    main = viewer.window._qt_window
+    assert (main.width(), main.height()) == SIZE
+    for page in ("Frames", "Grid", "Image", "Review"):
+        dock.show_page(page)
+        qtbot.wait(50)
+        area = dock.pages.currentWidget()
+        assert area.verticalScrollBar().maximum() == 0, page
+        assert area.widget().minimumSizeHint().width() <= area.viewport().width(), page
+    replayed.go_on = True
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+
+
+@pytest.mark.xvfb
+def test_the_narrowest_dock_has_sliders_wide_enough_for_the_hand(
+    window: tuple[Any, Any], qtbot: QtBot
+) -> None:
+    _, dock = window
+    holder = dock
+    while not isinstance(holder, QDockWidget):
+        holder = holder.parentWidget()
+    holder.setFloating(True)
+    holder.resize(WIDTH, 700)
+    for page in ("Grid", "Image"):
+        dock.show_page(page)
+        qtbot.wait(50)
+        sliders = [s for s in dock.pages.currentWidget().findChildren(QSlider) if s.isVisible()]
+        assert sliders
+        assert all(slider.width() >= 200 for slider in sliders)
+        for label in dock.pages.currentWidget().findChildren(QLabel):
+            if label.isVisible():
+                assert label.width() >= label.minimumSizeHint().width(), label.text()
+    holder.setFloating(False)
+
+
+def test_there_is_one_primary_button_in_every_state(
+    bench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    _, dock, _ = bench
+    model = dock.bench.model
+
+    def buttons() -> list[tuple[str, bool]]:
+        both = (dock.steps.next, dock.run.run)
+        return [(b.text(), bool(b.property("primary"))) for b in both if b.isVisibleTo(dock)]
+
+    assert buttons() == [("Detect grid", True), ("Run all", False)]
+    assert not dock.run.progress.isVisibleTo(dock)
+    replayed.go_on = False
+    dock.run.run.click()
+    qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
+    assert buttons() == []
+    assert dock.run.cancel.isVisibleTo(dock)
+    assert dock.run.progress.isVisibleTo(dock)
+    model.change_settings(prior_weight=0.5)
+    assert buttons() == [("Run anew", True)]
+    model.change_settings(prior_weight=None)
+    replayed.go_on = True
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    assert buttons() == [("Review cells", True)]
+    assert not dock.run.cancel.isVisibleTo(dock)
+    model.change_settings(prior_weight=0.5)
+    assert buttons() == [("Run from reconstruct", True)]
+
+
+def test_a_long_name_is_cut_in_its_middle_and_whole_in_its_tooltip(bench: Any) -> None:
+    _, dock, _ = bench
+    name = "2026-11-22_string-04_module-0017_forward-bias_" * 4
+    dock._tell(name, "5 frames", f"/data/{name}")
+    assert dock.name.text() == name
+    assert dock.name.minimumSizeHint().width() < 100
+    assert name in dock.name.toolTip()
+    assert "5 frames" in dock.headline.text()
+
+
+def test_an_elided_label_shows_both_ends(qtbot: QtBot) -> None:
+    label = ElidedLabel("a" * 60 + "i" * 60)
+    qtbot.addWidget(label)
+    label.resize(120, 20)
+    short = label.grab().toImage()
+    label.setText("a" * 60 + "-" * 60)
+    assert label.grab().toImage() != short
+
+
+@pytest.mark.xvfb
+def test_the_tab_key_goes_down_the_image_page_and_is_seen(
+    window: tuple[Any, Any], qtbot: QtBot
+) -> None:
+    viewer, dock = window
+    dock.show_page("Image")
+    viewer.window._qt_window.activateWindow()
+    image = dock.image
+    dock.bench.model.change_settings(prior_weight=0.5, psf_sigma_lr_px=0.5)
+    image.show_live.setFocus()
+    qtbot.waitUntil(image.show_live.hasFocus, timeout=2000)
+    for widget in (
+        image.magnification.number,
+        image.magnification.slider,
+        image.automatic,
+        image.prior_weight.number,
+        image.prior_weight.slider,
+        image.estimated,
+        image.psf_sigma.number,
+        image.psf_sigma.slider,
+        image.prior,
+        image.motion,
+        image.load,
+        image.save,
+    ):
+        without = widget.grab().toImage()
+        qtbot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Tab)
+        assert QApplication.focusWidget() is widget
+        assert widget.grab().toImage() != without
+
+
+def test_every_control_has_a_tooltip(bench: Any) -> None:
+    _, dock, _ = bench
+    for kind in (QAbstractButton, QAbstractSpinBox, QComboBox, QSlider):
+        for control in dock.findChildren(kind):
+            above = control.parentWidget()
+            if above is dock.pages.tabBar() or isinstance(above, QAbstractSpinBox | QComboBox):
+                continue
+            assert control.toolTip() or above.toolTip(), control.objectName()

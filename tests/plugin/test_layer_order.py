@@ -1,0 +1,93 @@
+"""Layers come and go one at a time: napari's list breaks when one is added within another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from napari.layers import Layer
+from pytestqt.qtbot import QtBot
+
+from napari_pv_inspect.model import RunState
+from napari_pv_inspect.reader import read_result, read_sequence
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import write_result
+
+
+@pytest.fixture
+def list_view(bench: Any) -> Any:
+    """Return napari's list of layers."""
+    return bench[0].window._qt_viewer.layers
+
+
+def is_sound(viewer: Any, list_view: Any, qtlog: Any) -> bool:
+    """Whether napari's list shows the layers that there are, and Qt had nothing to say."""
+    rows = list_view.model().rowCount()
+    said = [record.message for record in qtlog.records if "ProxyModel" in record.message]
+    assert said == []
+    return rows == len(viewer.layers)
+
+
+def test_the_bent_grid_comes_back_alone_after_all_layers_were_deleted(
+    bench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
+) -> None:
+    viewer, dock, _ = bench
+    dock.module.detect.click()
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    viewer.layers.clear()
+    dock.lens.kappa.slider.setValue(150)
+    qtbot.wait(200)
+    assert [layer.name for layer in viewer.layers] == ["Fitted grid"]
+    assert is_sound(viewer, list_view, qtlog)
+
+
+def test_layers_of_the_reader_take_the_place_of_ours_one_after_the_other(
+    bench: Any,
+    tiny_folder: Path,
+    tiny_inspection: Inspection,
+    tmp_path: Path,
+    qtbot: QtBot,
+    qtlog: Any,
+    list_view: Any,
+) -> None:
+    viewer, dock, _ = bench
+    viewer.layers.clear()
+    write_result(tiny_inspection, tmp_path / "out")
+    layers = [*read_sequence(tiny_folder), *read_result(tmp_path / "out")]
+    for _ in range(2):
+        for layer in layers:
+            viewer.add_layer(Layer.create(*layer))
+        qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+    assert len(viewer.layers) == 7
+    assert is_sound(viewer, list_view, qtlog)
+
+
+def test_another_sequence_takes_the_layer_of_the_one_before_away(
+    bench: Any, tiny_folder: Path, qtbot: QtBot, qtlog: Any, list_view: Any
+) -> None:
+    viewer, dock, _ = bench
+    files = sorted((tiny_folder / "frames").iterdir())
+    viewer.dims.set_current_step(0, 4)
+    dock.bench.open(files[:2])
+    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+    assert [layer.name for layer in viewer.layers] == ["Frames"]
+    assert len(viewer.layers["Frames"].data) == 2
+    assert viewer.dims.nsteps[0] == 2
+    assert dock.bench.frames.frame < 2
+    assert is_sound(viewer, list_view, qtlog)
+
+
+def test_the_image_of_other_rows_and_columns_goes_when_the_grid_of_these_is_found(
+    bench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    viewer, dock, _ = bench
+    model = dock.bench.model
+    dock.run.run.click()
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    assert "Module image" in viewer.layers
+    model.change_settings(rows=4, cols=3)
+    assert "Module image" in viewer.layers
+    dock.module.detect.click()
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    assert not {"Module image", "Cracks", "Support"} & {layer.name for layer in viewer.layers}

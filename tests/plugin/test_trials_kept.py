@@ -1,0 +1,178 @@
+"""The trials of the tuning live in the result folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pytestqt.qtbot import QtBot
+
+from napari_pv_inspect.cell_renderer import CellPicture
+from napari_pv_inspect.history import History
+from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.trial_keeper import TrialKeeper
+from napari_pv_inspect.tuning import Tuning
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results import read_result, write_result
+from pv_inspect.sequence import Sequence
+from pv_inspect.trials import read_trials
+
+
+class Bench:
+    """Model, tuning and keeper without a window."""
+
+    def __init__(self) -> None:
+        self.model = WorkbenchModel()
+        self.tuning = Tuning(self.model, History())
+        self.keeper = TrialKeeper(self.model, self.tuning)
+        self.said: list[str] = []
+        self.model.noticed.connect(lambda text, _: self.said.append(text))
+
+    def try_(self, weight: float, cell: tuple[int, int] = (0, 1)) -> None:
+        self.model.change_settings(prior_weight=weight)
+        self.tuning.settle()
+        image = np.full((6, 5), 0.25, np.float32)
+        self.tuning.pictured(CellPicture(image, cell, "", self.model.settings))
+
+    def reopen(self, folder: Path) -> None:
+        result = read_result(folder)
+        self.model.open_result(result)
+        self.keeper.resume(result)
+
+
+@pytest.fixture
+def new_bench(qtbot: QtBot) -> Generator[Callable[[], Bench]]:
+    """Make benches; they are closed at the end."""
+    made: list[Bench] = []
+
+    def make() -> Bench:
+        made.append(Bench())
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.keeper.close()
+
+
+@pytest.fixture
+def folder(tiny_inspection: Inspection, tmp_path: Path) -> Path:
+    """A result folder."""
+    write_result(tiny_inspection, tmp_path / "result")
+    return tmp_path / "result"
+
+
+def titles(bench: Bench) -> list[str]:
+    return [trial.title for trial in bench.tuning.trials]
+
+
+def test_trials_come_back_with_their_names_and_the_list_goes_on(
+    new_bench: Callable[[], Bench], folder: Path
+) -> None:
+    bench = new_bench()
+    bench.reopen(folder)
+    bench.try_(1.0)
+    bench.try_(2.0)
+    bench.tuning.rename(bench.tuning.trials[1], "sharp")
+    bench.keeper.close()
+
+    again = new_bench()
+    again.reopen(folder)
+    assert titles(again) == ["first look", "sharp"]
+    assert again.tuning.trials[1].settings.prior_weight == 2.0
+    np.testing.assert_allclose(again.tuning.trials[1].picture.image, 0.25)
+    again.try_(2.0)
+    assert again.tuning.current is again.tuning.trials[1]
+    again.try_(3.0)
+    assert [trial.number for trial in again.tuning.trials] == [1, 2, 3]
+    again.tuning.restore(again.tuning.trials[0])
+    assert again.model.settings.prior_weight == 1.0
+
+
+def test_trials_are_written_soon_after_a_change(
+    new_bench: Callable[[], Bench], folder: Path, qtbot: QtBot
+) -> None:
+    bench = new_bench()
+    bench.reopen(folder)
+    bench.try_(1.0)
+    qtbot.waitUntil(lambda: len(read_trials(folder)) == 1, timeout=5000)
+
+
+def test_trials_made_before_the_first_save_go_with_it(
+    new_bench: Callable[[], Bench], folder: Path
+) -> None:
+    bench = new_bench()
+    bench.try_(1.0)
+    bench.keeper.attach(folder)
+    bench.keeper.close()
+    assert [trial.settings.prior_weight for trial in read_trials(folder)] == [1.0]
+
+
+def test_another_sequence_takes_nothing_from_the_folder_of_the_last(
+    new_bench: Callable[[], Bench], folder: Path, tiny_sequence: Sequence
+) -> None:
+    bench = new_bench()
+    bench.reopen(folder)
+    bench.try_(1.0)
+    bench.model.open(tiny_sequence)
+    bench.try_(5.0)
+    bench.keeper.close()
+    assert [trial.settings.prior_weight for trial in read_trials(folder)] == [1.0]
+
+
+def test_damaged_trials_are_one_sentence_and_a_new_list_begins(
+    new_bench: Callable[[], Bench], folder: Path
+) -> None:
+    (folder / "trials.npz").write_bytes(b"PK\x03\x04 and no more")
+    bench = new_bench()
+    bench.reopen(folder)
+    assert sum("can't be read" in text for text in bench.said) == 1
+    bench.try_(1.0)
+    bench.keeper.close()
+    assert len(read_trials(folder)) == 1
+
+
+def test_a_trial_of_a_cell_that_the_module_has_not_is_left_out(
+    new_bench: Callable[[], Bench], folder: Path
+) -> None:
+    bench = new_bench()
+    bench.reopen(folder)
+    bench.try_(1.0, cell=(0, 0))
+    bench.try_(2.0, cell=(40, 0))
+    bench.keeper.close()
+    again = new_bench()
+    again.reopen(folder)
+    assert titles(again) == ["first look"]
+
+
+def test_a_folder_that_went_away_is_told_once(
+    new_bench: Callable[[], Bench], folder: Path, qtbot: QtBot
+) -> None:
+    bench = new_bench()
+    bench.reopen(folder)
+    folder.rename(folder.with_name("elsewhere"))
+    for weight in (1.0, 2.0):
+        bench.try_(weight)
+        bench.keeper._write()
+    bench.keeper._thread.submit(int).result()
+    qtbot.waitUntil(lambda: bool(bench.said), timeout=5000)
+    qtbot.wait(50)
+    assert [("the folder is gone" in text) for text in bench.said] == [True]
+
+
+def test_the_workbench_keeps_them(
+    bench: tuple[Any, Any, Any], tiny_inspection: Inspection, qtbot: QtBot, tmp_path: Path
+) -> None:
+    viewer, dock, _ = bench
+    model, tuning = dock.bench.model, dock.bench.tuning
+    model.inspection = tiny_inspection
+    model.inspection_changed.emit(tiny_inspection)
+    tuning.settle()
+    image = np.zeros((6, 5), np.float32)
+    tuning.pictured(CellPicture(image, (0, 0), "", model.settings))
+    dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.trials.folder is not None, timeout=20_000)
+    viewer.close()
+    assert len(read_trials(tmp_path / "out")) == 1

@@ -1,0 +1,95 @@
+"""Trials go with the result folder: they come back, within bounds, and do no harm when damaged."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pv_inspect import trials as module
+from pv_inspect.errors import InspectionError
+from pv_inspect.settings import Settings
+from pv_inspect.trials import KeptTrial, read_trials, worth_keeping, write_trials
+
+
+def trial(number: int, name: str = "", size: int = 12) -> KeptTrial:
+    image = np.random.default_rng(number).random((size, size + 1)).astype(np.float32)
+    settings = Settings(prior_weight=0.1 * number, skip_frames=("a.png", "b.png"), kappa=-0.25)
+    return KeptTrial(number, settings, image, (1, 2), "4.00x, lambda 1", "lambda 1", name)
+
+
+def test_trials_come_back_with_names_settings_and_pictures(tmp_path: Path) -> None:
+    written = [trial(1), trial(2, "scharf, größer")]
+    write_trials(written, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["trials.npz"]
+    for back, expected in zip(read_trials(tmp_path), written, strict=True):
+        assert replace(back, image=expected.image).__dict__ == expected.__dict__
+        assert back.image.dtype == np.float32
+        # Half precision: a thousandth of a picture's white is below what a screen shows.
+        np.testing.assert_allclose(back.image, expected.image, atol=5e-4)
+
+
+def test_without_a_file_there_are_none(tmp_path: Path) -> None:
+    assert read_trials(tmp_path) == ()
+
+
+def test_what_is_kept_is_bounded_and_names_go_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST", 3)
+    every = [trial(1, "best"), *(trial(n) for n in range(2, 6))]
+    assert [t.number for t in worth_keeping(every)] == [1, 4, 5]
+    monkeypatch.setattr(module, "MOST_BYTES", 2 * 12 * 13 * 2)
+    assert [t.number for t in worth_keeping(every)] == [1, 5]
+
+
+@pytest.mark.parametrize("cut", [0, 10, 300, 900])
+def test_a_file_that_was_cut_is_one_sentence(tmp_path: Path, cut: int) -> None:
+    write_trials([trial(1), trial(2)], tmp_path)
+    path = tmp_path / "trials.npz"
+    path.write_bytes(path.read_bytes()[:cut])
+    with pytest.raises(InspectionError, match=r"The trials kept in .* can't be read"):
+        read_trials(tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_file_with_a_turned_bit_is_read_or_is_one_sentence(tmp_path: Path, seed: int) -> None:
+    write_trials([trial(1), trial(2)], tmp_path)
+    path = tmp_path / "trials.npz"
+    content = bytearray(path.read_bytes())
+    content[np.random.default_rng(seed).integers(len(content))] ^= 0x10
+    path.write_bytes(content)
+    with suppress(InspectionError):
+        assert len(read_trials(tmp_path)) == 2
+
+
+@pytest.mark.parametrize(
+    "record", [{}, {"number": 1}, {"settings": {"no_such": 1}}, {"cell": [1]}, {"settings": []}]
+)
+def test_a_record_that_is_none_is_one_sentence(tmp_path: Path, record: dict[str, object]) -> None:
+    whole = {"number": 1, "settings": {}, "cell": [0, 0], "caption": "", "text": "", "name": ""}
+    about = [{**whole, **record} if "number" not in record and record else record]
+    np.savez(
+        tmp_path / "trials.npz",
+        about=np.array(json.dumps(about)),
+        picture_0=np.zeros((2, 2), np.float16),
+    )
+    with pytest.raises(InspectionError, match="can't be read"):
+        read_trials(tmp_path)
+
+
+def test_a_file_larger_than_any_of_ours_is_not_loaded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_trials([trial(1, size=60)], tmp_path)
+    monkeypatch.setattr(module, "MOST_BYTES", 1000)
+    with pytest.raises(InspectionError, match="too large"):
+        read_trials(tmp_path)
+
+
+def test_a_folder_that_went_away_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InspectionError, match="the folder is gone"):
+        write_trials([trial(1)], tmp_path / "gone")
+    assert not list(tmp_path.iterdir())
