@@ -337,8 +337,8 @@ class Monkey:
         if live is None or not live.isVisible():
             self.dock.image.show_live.click()
             return
-        live.source.setCurrentIndex(int(self._rng.integers(live.source.count())))
-        live.source.activated.emit(live.source.currentIndex())
+        live.right.setCurrentIndex(int(self._rng.integers(live.right.count())))
+        live.right.activated.emit(live.right.currentIndex())
         live.view.move_divider(float(self._rng.random()))
         if self._rng.random() < 0.3:
             live.flicker.toggle()
