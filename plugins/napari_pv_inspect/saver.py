@@ -18,6 +18,9 @@ __all__ = ["Saver"]
 
 log = logging.getLogger(__name__)
 
+# What was written, where to, and what went wrong, in a sentence.
+Answer = tuple[Inspection, Path, str]
+
 
 class Saver(QObject):
     """Writes one result at a time; closing the window waits until it is whole."""
@@ -28,6 +31,7 @@ class Saver(QObject):
         super().__init__()
         self._model = model
         self._worker: FunctionWorker | None = None
+        self._answer: Answer | None = None
 
     @property
     def busy(self) -> bool:
@@ -40,19 +44,33 @@ class Saver(QObject):
             self._model.notice("The last result is still being written: save again in a moment.")
             return False
         self._model.notice(f"Saving to {folder} ...")
-        self._worker = create_worker(_written, inspection, folder, _start_thread=False)
+        self._answer = None
+        self._worker = create_worker(self._write, inspection, folder, _start_thread=False)
         self._worker.returned.connect(self._on_return)
         self._worker.start()
         return True
 
-    def close(self) -> None:
-        """Wait for what is being written; nobody is told any more."""
-        if self._worker is not None:
-            self._worker.returned.disconnect(self._on_return)
-            self._worker = None
-            QThreadPool.globalInstance().waitForDone()
+    def close(self) -> tuple[Inspection, Path] | None:
+        """Wait for what is being written; nobody is told any more.
 
-    def _on_return(self, answer: tuple[Inspection, Path, str]) -> None:
+        Returns
+        -------
+        (Inspection, Path) or None
+            What was written, and where.
+        """
+        if self._worker is None:
+            return None
+        self._worker.returned.disconnect(self._on_return)
+        self._worker = None
+        QThreadPool.globalInstance().waitForDone()
+        answer = self._answer
+        return None if answer is None or answer[2] else answer[:2]
+
+    def _write(self, inspection: Inspection, folder: Path) -> Answer:
+        answer = self._answer = _written(inspection, folder)
+        return answer
+
+    def _on_return(self, answer: Answer) -> None:
         inspection, folder, trouble = answer
         self._worker = None
         if trouble:
@@ -62,7 +80,7 @@ class Saver(QObject):
         self.saved.emit(inspection, folder)
 
 
-def _written(inspection: Inspection, folder: Path) -> tuple[Inspection, Path, str]:
+def _written(inspection: Inspection, folder: Path) -> Answer:
     try:
         write_result(inspection, folder)
     except InspectionError as error:

@@ -136,10 +136,13 @@ class Workbench(QObject):
         self.runs.shutdown()
         self._show_preview.cancel()
         self._fit_timer.stop()
+        saved = self.saver.close()
+        if saved is not None and saved[0] is self.model.inspection:
+            self.session.attach(saved[1])
+            self.trials.attach(saved[1])
         self.session.close()
         self.trials.close()
         self.opener.close()
-        self.saver.close()
         if self._drops is not None:
             self._drops.close()
         self.live.close()

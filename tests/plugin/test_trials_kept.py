@@ -162,8 +162,13 @@ def test_a_folder_that_went_away_is_told_once(
     assert [("the folder is gone" in text) for text in bench.said] == [True]
 
 
-def test_the_workbench_keeps_them(
-    bench: tuple[Any, Any, Any], tiny_inspection: Inspection, qtbot: QtBot, tmp_path: Path
+@pytest.mark.parametrize("at_once", [False, True])
+def test_the_workbench_keeps_them_also_if_it_is_closed_while_it_saves(
+    at_once: bool,
+    bench: tuple[Any, Any, Any],
+    tiny_inspection: Inspection,
+    qtbot: QtBot,
+    tmp_path: Path,
 ) -> None:
     viewer, dock, _ = bench
     model, tuning = dock.bench.model, dock.bench.tuning
@@ -173,6 +178,7 @@ def test_the_workbench_keeps_them(
     image = np.zeros((6, 5), np.float32)
     tuning.pictured(CellPicture(image, (0, 0), "", model.settings))
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.bench.trials.folder is not None, timeout=20_000)
+    if not at_once:
+        qtbot.waitUntil(lambda: dock.bench.trials.folder is not None, timeout=20_000)
     viewer.close()
     assert len(read_trials(tmp_path / "out")) == 1
