@@ -19,7 +19,8 @@ __all__ = [
     "CRACKS",
     "CRACK_RGB",
     "EDITED_COLOUR",
-    "FOCUS_COLOUR",
+    "FOCUS_ON_DARK",
+    "FOCUS_ON_LIGHT",
     "FRAMES",
     "GRID",
     "GRID_COLOUR",
@@ -59,7 +60,7 @@ POINT_SIZES = (6.0, 7.0, 9.0)
 CRACK_RGB = (1.0, 0.55, 0.0)
 PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR = "#0072B2", "#1A86C4"
 """Of the button for what comes next, behind white letters."""
-FOCUS_COLOUR = "#F0E442"
+FOCUS_ON_DARK, FOCUS_ON_LIGHT = "#F0E442", "#1A1A1A"
 """Of the border around what the keyboard acts on."""
 CORRECTED_RGB = (0.8, 0.475, 0.655)
 """Of marks that a person has drawn: the colour of edited things."""

@@ -337,8 +337,9 @@ class Monkey:
         if live is None or not live.isVisible():
             self.dock.image.show_live.click()
             return
-        live.source.setCurrentIndex(int(self._rng.integers(live.source.count())))
-        live.source.activated.emit(live.source.currentIndex())
+        side = self._any([live.shown, live.against])
+        side.setCurrentIndex(int(self._rng.integers(side.count())))
+        side.activated.emit(side.currentIndex())
         live.view.move_divider(float(self._rng.random()))
         if self._rng.random() < 0.3:
             live.flicker.toggle()

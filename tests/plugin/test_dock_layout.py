@@ -71,6 +71,23 @@ def test_no_page_scrolls_at_1280_x_800(
 
 
 @pytest.mark.xvfb
+def test_gallery_live_cell_and_controls_fit_beside_each_other_at_1280_x_800(
+    window: tuple[Any, Any], qtbot: QtBot
+) -> None:
+    viewer, dock = window
+    dock.image.show_live.click()
+    qtbot.wait(300)
+    main = viewer.window._qt_window
+    assert (main.width(), main.height()) == SIZE
+    for page in ("Frames", "Grid", "Image", "Review"):
+        dock.show_page(page)
+        qtbot.wait(50)
+        area = dock.pages.currentWidget()
+        assert area.widget().minimumSizeHint().width() <= area.viewport().width(), page
+        assert area.verticalScrollBar().maximum() == 0, page
+
+
+@pytest.mark.xvfb
 def test_the_narrowest_dock_has_sliders_wide_enough_for_the_hand(
     window: tuple[Any, Any], qtbot: QtBot
 ) -> None:
@@ -83,6 +100,8 @@ def test_the_narrowest_dock_has_sliders_wide_enough_for_the_hand(
     for page in ("Grid", "Image"):
         dock.show_page(page)
         qtbot.wait(50)
+        area = dock.pages.currentWidget()
+        assert area.widget().minimumSizeHint().width() <= area.viewport().width()
         sliders = [s for s in dock.pages.currentWidget().findChildren(QSlider) if s.isVisible()]
         assert sliders
         assert all(slider.width() >= 200 for slider in sliders)
@@ -162,13 +181,28 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
         image.psf_sigma.slider,
         image.prior,
         image.motion,
-        image.load,
-        image.save,
+        image.presets,
     ):
         without = widget.grab().toImage()
         qtbot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Tab)
         assert QApplication.focusWidget() is widget
         assert widget.grab().toImage() != without
+
+
+@pytest.mark.xvfb
+def test_the_tab_key_leaves_every_page_downwards(window: tuple[Any, Any], qtbot: QtBot) -> None:
+    viewer, dock = window
+    viewer.window._qt_window.activateWindow()
+    for page in ("Frames", "Grid", "Image", "Review"):
+        dock.show_page(page)
+        dock.open_folder.setFocus()
+        qtbot.waitUntil(dock.open_folder.hasFocus, timeout=2000)
+        reached = []
+        while dock.result.save not in reached:
+            qtbot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Tab)
+            assert QApplication.focusWidget() not in reached
+            reached.append(QApplication.focusWidget())
+        assert dock.steps.next in reached
 
 
 def test_every_control_has_a_tooltip(bench: Any) -> None:

@@ -306,6 +306,7 @@ def _combo(entries: dict[str, object], tip: str) -> QComboBox:
     # As narrow as it has to be beside the live cell.
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     combo.setMinimumContentsLength(9)
+    combo.setMinimumWidth(82)
     combo.setToolTip(tip)
     return combo
 
@@ -314,7 +315,7 @@ def _slider(percent: int, tip: str) -> QSlider:
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, 100)
     slider.setValue(percent)
-    slider.setMinimumWidth(45)
+    slider.setMinimumWidth(30)
     slider.setMaximumWidth(90)
     slider.setToolTip(tip)
     return slider

@@ -86,7 +86,7 @@ class CurveView(QWidget):
         painter.setPen(text)
         right = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         painter.drawText(0, TOP - 6, LEFT - 4, 12, right, f"{top:.1f} px")
-        painter.drawText(0, TOP + height - 6, LEFT - 4, 12, right, "0")
+        painter.drawText(0, TOP + height - 11, LEFT - 4, 12, right, "0")
         for kappa in (low, 0.0, high):
             x = int(place(kappa, 0.0).x())
             centre = Qt.AlignmentFlag.AlignHCenter | Qt.AlignmentFlag.AlignTop

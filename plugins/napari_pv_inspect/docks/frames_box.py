@@ -150,6 +150,9 @@ class FramesBox(QWidget):
         self.view.verticalHeader().setDefaultSectionSize(20)
         self.view.setMinimumHeight(150)
         self.view.setWordWrap(False)
+        # The tab key goes on to the next control, not from place to place.
+        self.view.setTabKeyNavigation(False)
+        self.view.setAccessibleName("Frames")
         # Names of frames differ at their ends.
         self.view.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         self.view.setToolTip("A click or the arrow keys go to a frame, the space bar ticks it.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from napari.utils.theme import get_theme
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
@@ -12,27 +13,40 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_pv_inspect.appearance import FOCUS_COLOUR, PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR
+from napari_pv_inspect.appearance import (
+    FOCUS_ON_DARK,
+    FOCUS_ON_LIGHT,
+    PRIMARY_COLOUR,
+    PRIMARY_HOVER_COLOUR,
+)
 
-__all__ = ["STYLE", "CalmWheel", "finish_typing", "set_primary"]
+__all__ = ["CalmWheel", "finish_typing", "set_primary", "style"]
 
 # A border takes its pixel from the padding: nothing moves when the focus comes.
-STYLE = f"""
-QPushButton:focus, QToolButton:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 3px; }}
-QComboBox:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 2px 9px 2px 7px; }}
-QAbstractSpinBox {{ min-width: 30px; padding: 1px 4px; }}
-QAbstractSpinBox:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 0px 3px; }}
-QLineEdit:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 1px; }}
-QTableView:focus {{ border: 1px solid {FOCUS_COLOUR}; }}
-QCheckBox::indicator:focus {{ border: 1px solid {FOCUS_COLOUR}; padding: 0px; }}
-QSlider::handle:horizontal:focus {{ border: 2px solid {FOCUS_COLOUR}; }}
-QTabBar::tab:selected:focus {{ border: 1px solid {FOCUS_COLOUR}; }}
-QPushButton[primary="true"]:enabled {{
-  background-color: {PRIMARY_COLOUR}; color: white; font-weight: bold; min-height: 20px;
-}}
-QPushButton[primary="true"]:enabled:hover {{ background-color: {PRIMARY_HOVER_COLOUR}; }}
-QPushButton[primary="true"]:enabled:focus {{ border: 2px solid {FOCUS_COLOUR}; padding: 2px; }}
+_STYLE = """
+QPushButton:focus, QToolButton:focus { border: 1px solid FOCUS; padding: 3px; }
+QComboBox:focus { border: 1px solid FOCUS; padding: 2px 9px 2px 7px; }
+QAbstractSpinBox { min-width: 30px; padding: 1px 4px; }
+QAbstractSpinBox:focus { border: 1px solid FOCUS; padding: 0px 3px; }
+QLineEdit:focus { border: 1px solid FOCUS; padding: 1px; }
+QTableView:focus { border: 1px solid FOCUS; }
+QCheckBox::indicator:focus { border: 1px solid FOCUS; padding: 0px; }
+QSlider::handle:horizontal:focus { border: 2px solid FOCUS; }
+QTabBar::tab:selected:focus { border: 1px solid FOCUS; }
+QPushButton[primary="true"]:enabled {
+  background-color: PRIMARY; color: white; font-weight: bold; min-height: 20px;
+}
+QPushButton[primary="true"]:enabled:hover { background-color: HOVER; }
+QPushButton[primary="true"]:enabled:focus { border: 2px solid FOCUS; padding: 2px; }
 """
+
+
+def style(theme: str) -> str:
+    """Return the style sheet of our docks under a theme of napari."""
+    red, green, blue = get_theme(theme).background.as_rgb_tuple(alpha=False)
+    focus = FOCUS_ON_DARK if red + green + blue < 384 else FOCUS_ON_LIGHT
+    text = _STYLE.replace("FOCUS", focus).replace("PRIMARY", PRIMARY_COLOUR)
+    return text.replace("HOVER", PRIMARY_HOVER_COLOUR)
 
 
 def set_primary(button: QPushButton, primary: bool) -> None:

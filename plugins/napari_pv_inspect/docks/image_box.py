@@ -105,6 +105,7 @@ class ImageBox(QGroupBox):
         prior = QHBoxLayout()
         label = QLabel("Prior")
         label.setBuddy(self.prior)
+        self.prior.setAccessibleName("Prior")
         prior.addWidget(label)
         prior.addWidget(self.prior, 1)
         layout = QVBoxLayout(self)

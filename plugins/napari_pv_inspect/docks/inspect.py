@@ -25,7 +25,7 @@ from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.elided import ElidedLabel
 from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.frames_box import FramesBox
-from napari_pv_inspect.docks.hand import STYLE, CalmWheel, finish_typing
+from napari_pv_inspect.docks.hand import CalmWheel, finish_typing, style
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
@@ -114,7 +114,8 @@ class InspectDock(QWidget):
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.result)
-        self.setStyleSheet(STYLE)
+        self._on_theme()
+        bench.viewer.events.theme.connect(self._on_theme)
         self._calm = CalmWheel(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
@@ -149,6 +150,7 @@ class InspectDock(QWidget):
         page = QScrollArea()
         page.setFrameShape(QFrame.Shape.NoFrame)
         page.setWidgetResizable(True)
+        page.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         page.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         page.setWidget(content)
         self.pages.setTabToolTip(self.pages.addTab(page, title), tip)
@@ -183,6 +185,9 @@ class InspectDock(QWidget):
         self.headline.setText(facts)
         for label in (self.name, self.headline):
             label.setToolTip(tip)
+
+    def _on_theme(self, _: object = None) -> None:
+        self.setStyleSheet(style(self.bench.viewer.theme))
 
     def _on_deed(self, deed: Deed) -> None:
         if deed is Deed.OPEN:

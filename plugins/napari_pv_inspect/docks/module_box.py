@@ -49,11 +49,12 @@ class ModuleBox(QGroupBox):
         )
         grid = QGridLayout(self)
         for column, (title, field) in enumerate(
-            (("Rows", self.rows), ("Columns", self.cols), ("Cell aspect", self.aspect))
+            (("Rows", self.rows), ("Columns", self.cols), ("Aspect", self.aspect))
         ):
             # The arrow keys step it; buttons would take the room of the figures.
             field.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
             field.setMinimumWidth(52)
+            field.setAccessibleName(title)
             label = QLabel(title)
             label.setBuddy(field)
             label.setToolTip(field.toolTip())

@@ -13,7 +13,7 @@ from napari_pv_inspect.tuning import Trial
 
 __all__ = ["SideBox"]
 
-ICON = 28
+ICON = 24
 
 
 class SideBox(QComboBox):
@@ -33,6 +33,8 @@ class SideBox(QComboBox):
         self.setIconSize(QSize(ICON, ICON))
         self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.setMinimumContentsLength(8)
+        # The live cell has to fit into 1280 px, with the controls and the gallery beside it.
+        self.setMinimumWidth(84)
 
     @property
     def choice(self) -> Source | int:

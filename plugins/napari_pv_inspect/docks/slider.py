@@ -78,6 +78,7 @@ class SettingSlider(QWidget):
         self.slider.setAccessibleName(title)
         self.number.setAccessibleName(title)
         self._head = QHBoxLayout()
+        self._head.setSpacing(8)
         self._head.addWidget(QLabel(title))
         self._head.addStretch(1)
         self._head.addWidget(self.number)

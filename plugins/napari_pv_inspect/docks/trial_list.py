@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from qtpy.QtCore import QAbstractListModel, QModelIndex, QSize, Qt, Signal
-from qtpy.QtGui import QFont, QIcon, QPixmap
+from qtpy.QtGui import QFont, QGuiApplication, QIcon, QPixmap
 from qtpy.QtWidgets import (
     QAbstractItemView,
     QHBoxLayout,
@@ -97,12 +97,14 @@ class TrialModel(QAbstractListModel):
         """Return the thumbnail of a trial."""
         if trial.number not in self._icons:
             image = grey_image(trial.picture.image, contrast_limits(trial.picture.image))
+            ratio = QGuiApplication.instance().devicePixelRatio()
             scaled = image.scaled(
-                THUMBNAIL,
-                THUMBNAIL,
+                round(THUMBNAIL * ratio),
+                round(THUMBNAIL * ratio),
                 Qt.AspectRatioMode.KeepAspectRatio,
                 Qt.TransformationMode.SmoothTransformation,
             )
+            scaled.setDevicePixelRatio(ratio)
             self._icons[trial.number] = QIcon(QPixmap.fromImage(scaled))
         return self._icons[trial.number]
 
