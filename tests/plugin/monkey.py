@@ -338,7 +338,8 @@ class Monkey:
             self.dock.image.show_live.click()
             return
         side = self._any([live.shown, live.against])
-        side.setCurrentIndex(int(self._rng.integers(side.count())))
+        rows = [k for k in range(side.count()) if side.itemData(k) is not None]  # no separator
+        side.setCurrentIndex(self._any(rows))
         side.activated.emit(side.currentIndex())
         live.view.move_divider(float(self._rng.random()))
         if self._rng.random() < 0.3:
