@@ -174,6 +174,14 @@ def test_without_large_a_click_only_moves_the_view(opened: Opened) -> None:
     assert not place.is_open
 
 
+def test_gallery_and_large_cell_leave_room_for_the_live_cell(opened: Opened) -> None:
+    """Beside it and the controls 640 px are left of 1280."""
+    _, _, cells, place = opened
+    click(cells, 1)
+    assert cells.minimumSizeHint().width() <= 630
+    assert place.minimumSizeHint().width() <= 630
+
+
 def test_closing_the_window_while_a_cell_is_large_gives_the_docks_back(opened: Opened) -> None:
     viewer, _, cells, place = opened
     click(cells, 1)

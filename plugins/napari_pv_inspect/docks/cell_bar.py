@@ -37,9 +37,9 @@ class CellBar(QWidget):
         self.opacity_slider.setValue(90)
         _may_shrink(self.opacity_slider, 40, 80)
         self.opacity_slider.setToolTip("Opacity of the outlines of the marks, percent; 0: none.")
-        self.drawing = QCheckBox("Correct")
+        self.drawing = QCheckBox("Brush")
         self.drawing.setToolTip(
-            "Paint on the module image (D): the left button marks cracks, the right one erases."
+            "Correct the marks on the module image (D): left button paints, right button erases."
         )
         self.eraser = QCheckBox("Eraser")
         self.eraser.setToolTip("The left button erases as well (E).")
@@ -48,7 +48,7 @@ class CellBar(QWidget):
         self.brush.setValue(5)
         self.brush.setSuffix(" px")
         self.brush.setToolTip("Width of brush and eraser, pixels of the module image (+ and -).")
-        self.reset = QPushButton("Reset marks")
+        self.reset = QPushButton("Reset")
         self.reset.setToolTip("Go back to the marks that the detector found.")
         for button in (self.back, self.gallery):  # a dock has its own ways
             button.hide()
@@ -63,7 +63,6 @@ class CellBar(QWidget):
             self.opacity_slider,
             self.drawing,
             self.eraser,
-            QLabel("Brush"),
             self.brush,
             self.reset,
         ):
