@@ -17,9 +17,18 @@ CELL_FILL = 0.6
 
 
 class Navigator:
-    """Points the camera of a viewer at what the user wants to see."""
+    """Points the camera of a viewer at what the user wants to see.
+
+    Attributes
+    ----------
+    canvas_wanted : Signal
+        The canvas is to be seen.
+    layers_wanted : Signal
+        And what the user has deleted on it.
+    """
 
     canvas_wanted = Signal()
+    layers_wanted = Signal()
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel, module: ModuleLayers) -> None:
         self._viewer = viewer
@@ -28,6 +37,11 @@ class Navigator:
 
     def to_all(self) -> None:
         """Show frames and module image side by side."""
+        self.layers_wanted.emit()
+        self.fit()
+
+    def fit(self) -> None:
+        """Show all layers that there are."""
         self.canvas_wanted.emit()
         self._viewer.reset_view()
 
@@ -35,6 +49,7 @@ class Navigator:
         """Fill the canvas with the frames."""
         if self._model.sequence is not None:
             self.canvas_wanted.emit()
+            self.layers_wanted.emit()
             height, width = self._model.sequence.shape
             self._look_at(height / 2, width / 2, height, width, FILL)
 
@@ -42,6 +57,7 @@ class Navigator:
         """Fill the canvas with the module image."""
         if self._module.placement is not None and self._module.grid is not None:
             self.canvas_wanted.emit()
+            self.layers_wanted.emit()
             top, left, height, width = self._module.placement.box(self._module.shape)
             self._look_at(top + height / 2, left + width / 2, height, width, FILL)
 
