@@ -19,15 +19,11 @@ CELL_FILL = 0.6
 class Navigator:
     """Points the camera of a viewer at what the user wants to see.
 
-    Attributes
-    ----------
-    canvas_wanted : Signal
-        The canvas is to be seen.
-    layers_wanted : Signal
-        And what the user has deleted on it.
+    Who covers the canvas leaves on `canvas_wanted`, and calls what it gets once it is laid out.
+    What the user has deleted comes back on `layers_wanted`.
     """
 
-    canvas_wanted = Signal()
+    canvas_wanted = Signal(object)
     layers_wanted = Signal()
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel, module: ModuleLayers) -> None:
@@ -42,22 +38,22 @@ class Navigator:
 
     def fit(self) -> None:
         """Show all layers that there are."""
-        self.canvas_wanted.emit()
+        self.canvas_wanted.emit(self.fit)
         self._viewer.reset_view()
 
     def to_frames(self) -> None:
         """Fill the canvas with the frames."""
         if self._model.sequence is not None:
-            self.canvas_wanted.emit()
             self.layers_wanted.emit()
+            self.canvas_wanted.emit(self.to_frames)
             height, width = self._model.sequence.shape
             self._look_at(height / 2, width / 2, height, width, FILL)
 
     def to_module(self) -> None:
         """Fill the canvas with the module image."""
         if self._module.placement is not None and self._module.grid is not None:
-            self.canvas_wanted.emit()
             self.layers_wanted.emit()
+            self.canvas_wanted.emit(self.to_module)
             top, left, height, width = self._module.placement.box(self._module.shape)
             self._look_at(top + height / 2, left + width / 2, height, width, FILL)
 

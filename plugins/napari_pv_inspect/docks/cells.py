@@ -214,7 +214,7 @@ class CellsDock(QWidget):
 
     def _to_module(self) -> None:
         if (place := large_cell(self._bench)) is not None:
-            place.leave()
+            place.back()
         self.view.setFocus()
 
     def _fit(self) -> None:
