@@ -20,9 +20,11 @@ class Navigator:
     """Points the camera of a viewer at what the user wants to see.
 
     Who covers the canvas leaves on `canvas_wanted`, and calls what it gets once it is laid out.
+    What the user has deleted comes back on `layers_wanted`.
     """
 
     canvas_wanted = Signal(object)
+    layers_wanted = Signal()
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel, module: ModuleLayers) -> None:
         self._viewer = viewer
@@ -31,12 +33,18 @@ class Navigator:
 
     def to_all(self) -> None:
         """Show frames and module image side by side."""
-        self.canvas_wanted.emit(self.to_all)
+        self.layers_wanted.emit()
+        self.fit()
+
+    def fit(self) -> None:
+        """Show all layers that there are."""
+        self.canvas_wanted.emit(self.fit)
         self._viewer.reset_view()
 
     def to_frames(self) -> None:
         """Fill the canvas with the frames."""
         if self._model.sequence is not None:
+            self.layers_wanted.emit()
             self.canvas_wanted.emit(self.to_frames)
             height, width = self._model.sequence.shape
             self._look_at(height / 2, width / 2, height, width, FILL)
@@ -44,6 +52,7 @@ class Navigator:
     def to_module(self) -> None:
         """Fill the canvas with the module image."""
         if self._module.placement is not None and self._module.grid is not None:
+            self.layers_wanted.emit()
             self.canvas_wanted.emit(self.to_module)
             top, left, height, width = self._module.placement.box(self._module.shape)
             self._look_at(top + height / 2, left + width / 2, height, width, FILL)

@@ -83,6 +83,7 @@ class Workbench(QObject):
         self.live_cell = LiveCell(self.model, self.tuning)
         self.history.settling.connect(self.live_cell.settle)
         self.navigator = Navigator(viewer, self.model, self.module)
+        self.navigator.layers_wanted.connect(self._bring_back)
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
         self.session = SessionKeeper(viewer, self.model, self.frames)
@@ -183,7 +184,11 @@ class Workbench(QObject):
 
     def _fit(self) -> None:
         if not self.session.aim():
-            self.navigator.to_all()
+            self.navigator.fit()
+
+    def _bring_back(self) -> None:
+        for layers in (self.frames, self.points, self.geometry, self.module):
+            layers.bring_back()
 
     def _may_leave(self) -> bool:
         return self.review.may_leave(self._main_window)

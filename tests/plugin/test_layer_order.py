@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from napari.layers import Layer
 from pytestqt.qtbot import QtBot
@@ -91,3 +92,32 @@ def test_the_image_of_other_rows_and_columns_goes_when_the_grid_of_these_is_foun
     dock.module.detect.click()
     qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
     assert not {"Module image", "Cracks", "Support"} & {layer.name for layer in viewer.layers}
+
+
+def test_look_at_both_brings_all_deleted_layers_back(
+    bench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
+) -> None:
+    viewer, dock, _ = bench
+    dock.run.run.click()
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    before = {layer.name for layer in viewer.layers}
+    assert len(before) == 7
+    viewer.layers.clear()
+    dock.bench.navigator.fit()
+    assert not viewer.layers
+    dock.bench.navigator.to_all()
+    assert {layer.name for layer in viewer.layers} == before
+    kept = viewer.layers["Module image"]
+    viewer.layers.remove("Cracks")
+    dock.bench.navigator.to_module()
+    assert {layer.name for layer in viewer.layers} == before
+    assert viewer.layers["Module image"] is kept
+    assert is_sound(viewer, list_view, qtlog)
+
+
+def test_the_frame_is_found_beside_a_layer_of_more_axes(bench: Any) -> None:
+    viewer, dock, _ = bench
+    viewer.add_image(np.zeros((2, 3, 8, 8), np.float32))
+    dock.bench.frames.show(4)
+    assert dock.bench.frames.frame == 4
+    assert viewer.dims.current_step[:2] == (0, 4)

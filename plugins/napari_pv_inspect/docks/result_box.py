@@ -36,7 +36,11 @@ class ResultBox(QWidget):
         for text, tip, slot in (
             ("Frames", "Fill the canvas with the frames.", navigator.to_frames),
             ("Module", "Fill the canvas with the module image.", navigator.to_module),
-            ("Both", "Frames and module image side by side.", navigator.to_all),
+            (
+                "Both",
+                "Frames and module image side by side; deleted layers come back.",
+                navigator.to_all,
+            ),
         ):
             button = QPushButton(text)
             button.setToolTip(tip)

@@ -51,12 +51,18 @@ class FramesLayer:
     @property
     def frame(self) -> int:
         """Index of the frame under the time slider."""
-        return int(self._viewer.dims.current_step[0]) if self._viewer.dims.ndim > 2 else 0
+        # Counted from the end: a layer of the user's own may bring another axis.
+        return int(self._viewer.dims.current_step[-3]) if self._viewer.dims.ndim > 2 else 0
 
     def show(self, frame: int) -> None:
         """Move the time slider."""
         if self._viewer.dims.ndim > 2 and frame != self.frame:
-            self._viewer.dims.set_current_step(0, frame)
+            self._viewer.dims.set_current_step(self._viewer.dims.ndim - 3, frame)
+
+    def bring_back(self) -> None:
+        """Show the frames again if the user deleted them."""
+        if self._slot.layer is None:
+            self._on_sequence(self._model.sequence)
 
     def _on_sequence(self, sequence: Sequence | None) -> None:
         layer = self._slot.layer

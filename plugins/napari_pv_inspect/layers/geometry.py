@@ -50,6 +50,11 @@ class GeometryLayers:
             self._bent = {}
             self._draw_grid()
 
+    def bring_back(self) -> None:
+        """Show the grid again if the user deleted it."""
+        if self._grid_slot.layer is None:
+            self._draw_grid()
+
     def _on_sequence(self, _: Sequence | None) -> None:
         self._geometry = None
         self._grid, self._bent = [], {}

@@ -124,6 +124,16 @@ class ModuleLayers:
             self.put_cracks(cracks)
             self._know_cracks(cracks)
 
+    def bring_back(self) -> None:
+        """Show the layers again that the user deleted."""
+        if all(slot.layer is not None for slot in self._slots.values()):
+            return
+        self._shown = self.cracks = None
+        if self._model.shown is not None:
+            self._on_inspection(self._model.shown)
+        elif self._model.result is not None:
+            self._on_result(self._model.result)
+
     @property
     def has_cracks(self) -> bool:
         """Whether there is a layer of cracks; the user may have deleted it."""

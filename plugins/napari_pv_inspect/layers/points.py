@@ -99,6 +99,11 @@ class PointsLayer:
         layer.mode = mode
         self.mode_changed.emit(self.mode)
 
+    def bring_back(self) -> None:
+        """Show the points again if the user deleted them all."""
+        if self._slot.layer is None:
+            self._draw(anew=True)
+
     def delete_selected(self) -> None:
         """Delete the selected points of the shown frame."""
         layer = self._slot.layer
