@@ -2,8 +2,9 @@
 
 Cells of the sample are judged by keys in the gallery. *painted*: until the gallery is painted with
 the verdict and the next cell selected. *cell view*: until the large view shows the next cell after
-an arrow key. *stored*: until the verdict is in the database. *blocked*: the longest time in which
-the window could not answer.
+an arrow key. *stored*: until the verdict is in the database. *opened*: from Enter to the large cell
+on the screen; *stroke*: from the end of a stroke of the brush to the corrected marks. *blocked*:
+the longest time in which the window could not answer.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from qtpy.QtCore import QEvent, QObject, Qt
+from qtpy.QtCore import QEvent, QObject, QPointF, Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QWidget
 from workbench_window import Heartbeat, Times, opened, settle
@@ -23,6 +24,8 @@ from workbench_window import Heartbeat, Times, opened, settle
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.model import RunState
 from pv_inspect.review import VerdictKind
+
+LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 
 
 class Paints(QObject):
@@ -56,10 +59,21 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
         bench.model.select_cell((0, 0))
         settle(0.5)
         _judge(bench, cells, heart, times, options.keys)
-        cells.open_cell()
-        settle(2.0)
         view = large_cell(bench).view
         painted = Paints(view.cell_panel)
+        for _ in range(max(options.keys // 5, 1)):
+            _focus(cells.view)
+            heart.restart()
+            painted.count, begun = 0, time.perf_counter()
+            QTest.keyClick(cells.view, Qt.Key.Key_Return)
+            settle(2.0, lambda: painted.count > 0)
+            times.add("opened", 1e3 * (time.perf_counter() - begun))
+            settle(0.5)
+            times.add("opened blocked", heart.longest_ms)
+            QTest.keyClick(view, Qt.Key.Key_Escape)
+            settle(0.5)
+        cells.open_cell()
+        settle(1.0)
         for _ in range(options.keys):
             _focus(view)
             heart.restart()
@@ -69,6 +83,7 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
             times.add("cell view", 1e3 * (time.perf_counter() - begun))
             settle(0.4)
             times.add("cell view blocked", heart.longest_ms)
+        _paint(view, bench.review.state, heart, times, painted, options.keys)
         settle(5.0, lambda: bench.review.state.pending == 0)
         viewer.close()
     return times.summary()
@@ -91,6 +106,28 @@ def _judge(bench: object, cells: object, heart: Heartbeat, times: Times, keys: i
         times.add("stored", 1e3 * (time.perf_counter() - begun))
         settle(0.2)
         times.add("blocked", heart.longest_ms)
+
+
+def _paint(
+    view: object, state: object, heart: Heartbeat, times: Times, painted: Paints, strokes: int
+) -> None:
+    """Paint short lines; the first one makes the layer of corrected marks."""
+    view.bar.drawing.setChecked(True)
+    panel, (height, width) = view.cell_panel, state.subject.tiles.images.shape[2:]
+    for number in range(strokes):
+        y = (0.1 + 0.8 * number / strokes) * height
+        to = panel._transform()
+        ends = [to.map(QPointF(x * width, y)).toPoint() for x in (0.2, 0.8)]
+        QTest.mousePress(panel, LEFT, NONE, ends[0])
+        QTest.mouseMove(panel, ends[1])
+        settle(0.1)
+        heart.restart()
+        painted.count, begun = 0, time.perf_counter()
+        QTest.mouseRelease(panel, LEFT, NONE, ends[1])
+        settle(2.0, lambda: painted.count > 0)
+        times.add("stroke", 1e3 * (time.perf_counter() - begun))
+        settle(0.4)
+        times.add("stroke blocked", heart.longest_ms)
 
 
 def _focus(widget: QWidget) -> None:

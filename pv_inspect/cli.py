@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import traceback
 from collections.abc import Iterator
@@ -368,14 +369,28 @@ def gui(
                 f"The workbench needs napari and Qt, but {error.name or error} can't be loaded: "
                 'install them with  pip install "pv-inspect[gui]".'
             ) from None
-        wanted = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-        if sys.platform == "linux" and not any(os.environ.get(name) for name in wanted):
-            # Qt would abort the process.
-            raise InspectionError(
-                "The workbench needs a display and there is none: log in at a desktop, or "
-                "through ssh -X; `pv-inspect run` works without."
-            )
+        _need_a_display()
         launch(sequence)
+
+
+def _need_a_display() -> None:
+    """Look for one from outside: Qt aborts its own process where it finds none."""
+    if sys.platform != "linux":
+        return
+    wanted = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+    if not any(os.environ.get(name) for name in wanted):
+        raise InspectionError(
+            "The workbench needs a display and there is none: log in at a desktop, or "
+            "through ssh -X; `pv-inspect run` works without."
+        )
+    probe = "from qtpy.QtGui import QGuiApplication; QGuiApplication([])"
+    asked = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
+    if asked.returncode != 0:
+        said = next((line for line in asked.stderr.splitlines() if "qt.qpa" in line), "no reason")
+        raise InspectionError(
+            f"The workbench can't open a window ({said}): check DISPLAY and that Qt's system "
+            "libraries are installed; `pv-inspect run` works without."
+        )
 
 
 @contextmanager

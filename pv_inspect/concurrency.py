@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from threading import RLock
 from typing import TypeVar
 
 import numba
@@ -12,10 +14,12 @@ from numba.np.ufunc.parallel import threading_layer
 
 from pv_inspect.stencil import dot
 
-__all__ = ["mapped"]
+__all__ = ["in_turn", "mapped"]
 
 A = TypeVar("A")
 B = TypeVar("B")
+
+_turn = RLock()
 
 
 def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
@@ -38,8 +42,23 @@ def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
         return list(pool.map(function, every))
 
 
+@contextmanager
+def in_turn() -> Iterator[None]:
+    """Let one thread at a time work in here, if compiled code may not be entered from several.
+
+    Where numba has no OpenMP it would end the process: when a cell is shown while a run goes on.
+    """
+    with nullcontext() if _may_be_shared() else _turn:
+        yield
+
+
 def _may_be_shared() -> bool:
     """Whether compiled code may be entered from several threads: numba's own pool forbids it."""
-    # The layer is known only once parallel code has run.
-    dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
-    return bool(threading_layer() != "workqueue")  # type: ignore[no-untyped-call]
+    try:
+        layer = threading_layer()  # type: ignore[no-untyped-call]
+    except ValueError:
+        # It is known only once parallel code has run.
+        with _turn:
+            dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+        layer = threading_layer()  # type: ignore[no-untyped-call]
+    return bool(layer != "workqueue")

@@ -15,6 +15,7 @@ import numpy as np
 
 from pv_inspect.calibration import Calibration, calibrate
 from pv_inspect.cells import CellTiles, cut_cells
+from pv_inspect.concurrency import in_turn
 from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.crossings import Crossings
 from pv_inspect.detection import detect
@@ -263,7 +264,8 @@ def inspect(
             while True:
                 begun = perf_counter()
                 try:
-                    inner, message, preview = next(work)
+                    with in_turn():
+                        inner, message, preview = next(work)
                 except StopIteration as end:
                     part: Part = end.value
                     spent += perf_counter() - begun

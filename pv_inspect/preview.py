@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
+from pv_inspect.concurrency import in_turn
 from pv_inspect.errors import InspectionError
 from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.layout import HrGrid
@@ -161,7 +162,8 @@ class Preview:
         else:
             scale = registration.lr_px_per_unit
             self._known_grid = HrGrid.covering(registration.layout, scale, 1.0)
-            self._known = module_mean(sequence, registration, self._known_grid)[0]
+            with in_turn():
+                self._known = module_mean(sequence, registration, self._known_grid)[0]
         self._brightness = brightness_of(self._known, self._known_grid)
         self._seen: tuple[Region, str] | None = None
         self._views: list[View] = []
@@ -208,7 +210,7 @@ class Preview:
         """
         steps = self._steps(region, settings)
         while True:
-            with _one_thread():
+            with in_turn(), _one_thread():
                 shown = next(steps, None)
             if shown is None:
                 return

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from datetime import date
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -19,8 +21,9 @@ from pv_inspect.pipeline import Inspection
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
 
-__all__ = ["render_report"]
+__all__ = ["render_report", "with_review_state"]
 
+_REVIEW_STATE = re.compile(rb'(<span id="review-state">)[^<]*')
 _FOCAL_LENGTH = {
     "given": "given",
     "identified": "found from the frames",
@@ -74,6 +77,20 @@ def render_report(inspection: Inspection) -> str:
         lstrip_blocks=True,
     )
     return environment.get_template("report.html.j2").render(**_content(inspection))
+
+
+def with_review_state(page: bytes, state: str) -> bytes:
+    """Return a report that says how far the review is.
+
+    Parameters
+    ----------
+    page : bytes
+        As written by this or an earlier version; what has no place for it stays as it is.
+    state : str
+        A part of a sentence.
+    """
+    said = escape(f"{state}.").encode()
+    return _REVIEW_STATE.sub(lambda found: found[1] + said, page, 1)
 
 
 def _content(inspection: Inspection) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.folders import replace_file
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
+from pv_inspect.report import with_review_state
 from pv_inspect.results import Result
 from pv_inspect.review.selection import progress
 from pv_inspect.review.store import ReviewStore
@@ -55,6 +56,8 @@ class _Box:
 def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
     """Write ``verdicts.csv`` and ``review.html`` into the result folder.
 
+    ``review.html`` is the report to hand on; ``report.html`` says so, and how far the review is.
+
     Parameters
     ----------
     result : Result
@@ -76,6 +79,12 @@ def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
     table_path, page_path = result.folder / VERDICTS_TABLE, result.folder / REVIEW_PAGE
     replace_file(table_path, verdicts_csv(result.cells, verdicts).encode())
     replace_file(page_path, page.encode())
+    technical = result.folder / "report.html"
+    if technical.is_file():
+        layout = result.grid.layout
+        raters, done = raters_of(verdicts), progress(verdicts, layout).text
+        state = f"{done} by {', '.join(raters)}" if raters else done
+        replace_file(technical, with_review_state(technical.read_bytes(), state))
     return table_path, page_path
 
 
@@ -235,8 +244,15 @@ def _quality(result: Result) -> list[tuple[str, str]]:
             f"{np.median(rms):.2f}" if rms.size else "not known",
         ),
         ("Support by the frames, mean (0 to 1)", f"{np.nanmean(result.support):.2f}"),
+        ("Optical blur, sigma (frame pixels)", _known(result.psf_sigma_lr_px, ".2f")),
+        ("Weight of the prior, lambda", _known(result.prior_weight, ".3g")),
+        ("Distortion, kappa", f"{result.camera.kappa:+.4f}"),
         ("Crack detector", f"{result.detector}, threshold {result.crack_threshold:.2f}"),
     ]
+
+
+def _known(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "not known"
 
 
 def _settings(settings: Settings) -> list[tuple[str, str, str]]:

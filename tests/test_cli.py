@@ -257,5 +257,17 @@ def test_gui_without_a_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) 
     refused(called("gui"), "needs a display")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_gui_on_a_display_that_does_not_answer_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("qtpy")
+    monkeypatch.setattr(cli, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
+    monkeypatch.setenv("DISPLAY", ":98765")
+    refused(called("gui"), r"can\'t open a window \(qt.qpa")
+
+
 def test_gui_with_a_missing_sequence_is_one_sentence(tmp_path: Path) -> None:
     refused(called("gui", tmp_path / "no"), "does not exist")

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from pv_inspect import cli, folders
 from pv_inspect.errors import InspectionError
+from pv_inspect.report import with_review_state
 from pv_inspect.results import Result, read_result, write_result
 from pv_inspect.review import Measure, ModuleData, ReviewStore, Verdict, VerdictKind, fingerprint
 from pv_inspect.review_report import export_review, render_review
@@ -39,7 +40,7 @@ def said(html: str) -> str:
 
 def test_the_page_needs_nothing_from_outside_and_notes_are_text(result: Result) -> None:
     html = render_review(result, given(result))
-    assert all(a.startswith("data:image/") for a in Reader(html).addresses)
+    assert all(a.startswith(("data:image/", "report.html")) for a in Reader(html).addresses)
     assert "<b>here</b>" not in html
     assert 'see "<b>here</b>"' in said(html)
 
@@ -181,3 +182,24 @@ def test_the_command_refuses_what_is_no_result_in_one_sentence(tmp_path: Path) -
     assert found.exit_code == 1
     assert "is no result folder" in found.stderr
     assert len(found.stderr.splitlines()) == 1
+
+
+def test_the_technical_report_points_to_the_one_with_verdicts(result: Result) -> None:
+    technical = result.folder / "report.html"
+    before = technical.read_text()
+    assert '<a href="review.html">' in before
+    assert "by Ada" not in before
+    with ReviewStore(result.folder) as store:
+        store.give(Verdict(0, 0, VerdictKind.OK, "Ada <b>"))
+        export_review(result, store)
+        store.give(Verdict(0, 1, VerdictKind.OK, "Ada <b>"))
+        export_review(result, store)
+    after = technical.read_text()
+    assert after.count("cells judged by Ada &lt;b&gt;.") == 1
+    assert "2 of " in after
+    assert len(after) == pytest.approx(len(before), abs=150), "nothing else has changed"
+    assert '<a href="report.html">' in (result.folder / "review.html").read_text()
+
+
+def test_a_report_without_a_place_for_the_review_stays_as_it_is() -> None:
+    assert with_review_state(b"<p>old</p>", "1 of 2 cells judged") == b"<p>old</p>"

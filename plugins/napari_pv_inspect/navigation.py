@@ -17,9 +17,12 @@ CELL_FILL = 0.6
 
 
 class Navigator:
-    """Points the camera of a viewer at what the user wants to see."""
+    """Points the camera of a viewer at what the user wants to see.
 
-    canvas_wanted = Signal()
+    Who covers the canvas leaves on `canvas_wanted`, and calls what it gets once it is laid out.
+    """
+
+    canvas_wanted = Signal(object)
 
     def __init__(self, viewer: ViewerModel, model: WorkbenchModel, module: ModuleLayers) -> None:
         self._viewer = viewer
@@ -28,20 +31,20 @@ class Navigator:
 
     def to_all(self) -> None:
         """Show frames and module image side by side."""
-        self.canvas_wanted.emit()
+        self.canvas_wanted.emit(self.to_all)
         self._viewer.reset_view()
 
     def to_frames(self) -> None:
         """Fill the canvas with the frames."""
         if self._model.sequence is not None:
-            self.canvas_wanted.emit()
+            self.canvas_wanted.emit(self.to_frames)
             height, width = self._model.sequence.shape
             self._look_at(height / 2, width / 2, height, width, FILL)
 
     def to_module(self) -> None:
         """Fill the canvas with the module image."""
         if self._module.placement is not None and self._module.grid is not None:
-            self.canvas_wanted.emit()
+            self.canvas_wanted.emit(self.to_module)
             top, left, height, width = self._module.placement.box(self._module.shape)
             self._look_at(top + height / 2, left + width / 2, height, width, FILL)
 

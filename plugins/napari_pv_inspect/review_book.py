@@ -89,6 +89,7 @@ class Book:
 
     stored: tuple[Verdict, ...] = ()
     sides: dict[str, Side] = field(default_factory=dict)
+    _stored_on: dict[Cell, list[Verdict]] = field(default_factory=dict)
 
     def side(self, rater: str) -> Side:
         """What a rater says; begun with what is stored."""
@@ -99,12 +100,15 @@ class Book:
     def sort_out(self, verdicts: Iterable[Verdict]) -> None:
         """Take over what is stored of all raters."""
         self.stored = tuple(verdicts)
+        self._stored_on = {}
+        for verdict in self.stored:
+            self._stored_on.setdefault(verdict.cell, []).append(verdict)
         for rater, side in self.sides.items():
             side.take_verdicts(of_rater(self.stored, rater))
 
     def others(self, cell: Cell, rater: str) -> list[Verdict]:
         """Verdicts on a cell by everybody else, in the order of their names."""
-        found = {v.rater: v for v in self.stored if v.cell == cell and v.rater not in self.sides}
+        found = {v.rater: v for v in self._stored_on.get(cell, ()) if v.rater not in self.sides}
         for name, side in self.sides.items():
             if cell in side.verdicts:
                 found[name] = side.verdicts[cell]
@@ -121,4 +125,4 @@ class Book:
             rater: Side(dict(side.verdicts), dict(side.notes), dict(side.corrected))
             for rater, side in self.sides.items()
         }
-        return Book(self.stored, sides)
+        return Book(self.stored, sides, self._stored_on)

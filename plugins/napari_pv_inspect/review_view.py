@@ -37,6 +37,8 @@ class ReviewView:
     order : Order
     kinds : tuple of VerdictKind or None
         Verdicts of the cells that are listed.
+    disputed_only : bool
+        List only cells about which raters say different things.
     threshold : float
         Probability from which pixels are painted as cracks.
     """
@@ -54,6 +56,7 @@ class ReviewView:
         self.rater = rater
         self.order = Order.POSITION
         self.kinds = EVERY
+        self.disputed_only = False
         self.threshold = 0.5
 
     @property
@@ -124,7 +127,8 @@ class ReviewView:
     def listed(self) -> tuple[Cell, ...]:
         """Cells that pass the filter, in order."""
         passed = filtered(self._ordered(), self._side.verdicts, self.kinds)
-        return tuple((f.row, f.col) for f in passed)
+        cells = ((f.row, f.col) for f in passed)
+        return tuple(c for c in cells if not self.disputed_only or self.is_disputed(c))
 
     @property
     def progress(self) -> Progress | None:
@@ -144,9 +148,9 @@ class ReviewView:
         self.order = order
         self.listing_changed.emit()
 
-    def set_filter(self, kinds: Iterable[VerdictKind | None]) -> None:
+    def set_filter(self, kinds: Iterable[VerdictKind | None], disputed_only: bool = False) -> None:
         """List cells with these verdicts only; None stands for cells without one."""
-        self.kinds = tuple(kinds)
+        self.kinds, self.disputed_only = tuple(kinds), disputed_only
         self.listing_changed.emit()
 
     def set_threshold(self, threshold: float) -> None:

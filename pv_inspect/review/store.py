@@ -3,14 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from threading import RLock
-from time import sleep
 from typing import Any
 
 import cv2
@@ -28,16 +21,14 @@ from pv_inspect.review.entries import (
     stacks,
     stepped,
 )
+from pv_inspect.review.file import REVIEW_FILE, ReviewFile
 from pv_inspect.review.merging import Contents, contents, merge
-from pv_inspect.review.schema import damaged, failure, opened
+from pv_inspect.review.schema import damaged
 from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
 
 __all__ = ["REVIEW_FILE", "ReviewState", "ReviewStore"]
 
-REVIEW_FILE = "review.sqlite"
 Mask = NDArray[np.bool_]
-
-_REPLACED_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -56,7 +47,7 @@ class ReviewState:
     col: int
 
 
-class ReviewStore:
+class ReviewStore(ReviewFile):
     """The review of one module: verdicts, corrected masks, module data, and where one was.
 
     A method that stores has stored durably when it returns; when it raises, nothing has changed
@@ -78,26 +69,6 @@ class ReviewStore:
         is damaged, of a newer version or held by another program.
     """
 
-    def __init__(self, folder: Path, busy_s: float = 2.0) -> None:
-        self.path = Path(os.path.realpath(folder)) / REVIEW_FILE
-        self._busy_s = busy_s
-        self._lock = RLock()
-        self._connection: sqlite3.Connection | None = None
-        self._file: tuple[int, int] | None = None
-
-    def __enter__(self) -> ReviewStore:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Release the file; it is opened again when it is needed."""
-        with self._lock:
-            if self._connection is not None:
-                self._connection.close()
-            self._connection = self._file = None
-
     def give(self, verdict: Verdict) -> int:
         """Store a verdict; a corrected mask of the cell stays, and its measures with it.
 
@@ -106,7 +77,7 @@ class ReviewStore:
         int
             Number of the edit, for `undo` and `redo`.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             content = latest(connection, verdict.rater, verdict.cell)
             content |= {"kind": verdict.kind.value, "note": verdict.note, "time": verdict.time}
             content |= {"settings": verdict.settings, "software": verdict.software}
@@ -124,7 +95,7 @@ class ReviewStore:
             Number of the edit.
         """
         check_entry(cell, rater)
-        with self._writing() as connection:
+        with self.writing() as connection:
             content = latest(connection, rater, cell)
             content |= dict.fromkeys(("kind", "time", "settings", "software"))
             return append(connection, "edit", None, rater, cell, content)
@@ -138,7 +109,7 @@ class ReviewStore:
             Number of the edit.
         """
         check_entry(cell, rater)
-        with self._writing() as connection:
+        with self.writing() as connection:
             content = latest(connection, rater, cell) | {"note": text}
             return append(connection, "edit", None, rater, cell, content)
 
@@ -168,7 +139,7 @@ class ReviewStore:
             Number of the edit.
         """
         check_entry(cell, rater)
-        with self._writing() as connection:
+        with self.writing() as connection:
             content = latest(connection, rater, cell)
             content |= {"mask": None, "crack_length_cells": None, "isolated_area_share": None}
             if mask is not None:
@@ -198,17 +169,17 @@ class ReviewStore:
 
     def can_undo(self, rater: str) -> bool:
         """Whether `undo` would do something."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             return connection is not None and bool(stacks(connection, rater)[0])
 
     def can_redo(self, rater: str) -> bool:
         """Whether `redo` would do something."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             return connection is not None and bool(stacks(connection, rater)[1])
 
     def current(self) -> tuple[Verdict, ...]:
         """Verdicts that hold now, of all raters, by row, column and rater."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return ()
             lines = connection.execute(
@@ -221,7 +192,7 @@ class ReviewStore:
 
     def waiting_notes(self, rater: str) -> dict[Cell, str]:
         """Notes of a rater about cells that the rater has not judged."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return {}
             lines = connection.execute(
@@ -233,7 +204,7 @@ class ReviewStore:
 
     def history(self) -> tuple[Entry, ...]:
         """All that was ever stored about cells, the oldest first."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return ()
             lines = connection.execute(f"SELECT {LINE} FROM history ORDER BY id").fetchall()
@@ -241,7 +212,7 @@ class ReviewStore:
 
     def raters(self) -> tuple[str, ...]:
         """Names of all who have stored anything about a cell, in alphabetical order."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return ()
             found = connection.execute("SELECT DISTINCT rater FROM history ORDER BY rater")
@@ -249,7 +220,7 @@ class ReviewStore:
 
     def mask(self, cell: Cell, rater: str) -> Mask | None:
         """Return the mask that a rater has corrected, (h, w) bool; None if it is not corrected."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return None
             found = connection.execute(
@@ -261,7 +232,7 @@ class ReviewStore:
 
     def masks(self, rater: str | None = None) -> dict[Cell, Mask]:
         """Corrected masks by cell, of one rater; of all raters the one that was stored last."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return {}
             lines = connection.execute(
@@ -274,7 +245,7 @@ class ReviewStore:
 
     def contents(self) -> Contents:
         """All that is stored, as it is at one moment; for `merge`."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return Contents()
             connection.execute("BEGIN")
@@ -291,12 +262,12 @@ class ReviewStore:
         tuple of (rater, cell)
             Where both say something, and not the same.
         """
-        with self._writing() as connection:
+        with self.writing() as connection:
             return merge(connection, other)
 
     def describe(self, data: ModuleData) -> None:
         """Store what is known about the module; what was stored before is kept as history."""
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 "INSERT INTO module_data (stored, data) VALUES (?, ?)",
                 (now(), json.dumps(asdict(data))),
@@ -304,7 +275,7 @@ class ReviewStore:
 
     def module_data(self) -> ModuleData:
         """What is known about the module."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             found = (
                 connection
                 and connection.execute(
@@ -321,7 +292,7 @@ class ReviewStore:
     def remember(self, state: ReviewState) -> None:
         """Store where a rater is, for the next session."""
         check_entry((state.row, state.col), state.rater)
-        with self._writing() as connection:
+        with self.writing() as connection:
             connection.execute(
                 'INSERT OR REPLACE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)',
                 (state.rater, now(), state.row, state.col),
@@ -329,7 +300,7 @@ class ReviewStore:
 
     def remembered(self, rater: str | None = None) -> ReviewState | None:
         """Where a rater was, or who was here last; None if nobody was."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             found = (
                 connection
                 and connection.execute(
@@ -345,7 +316,7 @@ class ReviewStore:
 
         It costs little: a view may ask it every second and read `current` when it differs.
         """
-        with self._reading() as connection:
+        with self.reading() as connection:
             if connection is None:
                 return 0
             return int(connection.execute("PRAGMA data_version").fetchone()[0])
@@ -353,7 +324,7 @@ class ReviewStore:
     def _step(self, rater: str, action: str, edit: int | None) -> Change | None:
         if not self._exists():
             return None
-        with self._writing() as connection:
+        with self.writing() as connection:
             if edit is None:
                 done, undone = stacks(connection, rater)
                 stack = done if action == "undo" else undone
@@ -378,66 +349,6 @@ class ReviewStore:
         mask_changed = after is not None and before["mask"] != after["mask"]
         entry = self._entry(found)
         return Change(cell, entry.verdict, mask_changed, after is None, entry.note)
-
-    def _exists(self) -> bool:
-        try:
-            return self.path.stat().st_size > 0
-        except OSError:
-            return False
-
-    def _open(self, create: bool) -> sqlite3.Connection | None:
-        """Return the connection to the file that has the name now; None if there is none to read.
-
-        Where a result is replaced without hard links, the file is another one afterwards.
-        """
-        if self._connection is not None and not self._exists():
-            sleep(_REPLACED_S)  # between the two renames of a replacement there is no folder
-            if not self._exists():
-                raise InspectionError(
-                    f"{self.path} is gone although it was in use: put it back, or close this "
-                    "module and open it again."
-                )
-        if not create and not self._exists():
-            return None
-        if self._connection is None or self._identity() != self._file:
-            self.close()
-            self._connection = opened(self.path, create, self._busy_s)
-            self._file = self._identity()
-        return self._connection
-
-    def _identity(self) -> tuple[int, int]:
-        found = self.path.stat()
-        return found.st_dev, found.st_ino
-
-    @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection | None]:
-        with self._lock:
-            try:
-                yield self._open(create=False)
-            except sqlite3.Error as error:
-                raise failure(error, self.path) from None
-            except OSError as error:
-                raise InspectionError(f"{self.path} can't be read: {error.strerror}.") from None
-
-    @contextmanager
-    def _writing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction, on the disk when the block ends; nothing has changed if it raises."""
-        with self._lock:
-            try:
-                connection = self._open(create=True)
-                assert connection is not None
-                connection.execute("BEGIN IMMEDIATE")
-                try:
-                    yield connection
-                    connection.execute("COMMIT")
-                except BaseException:
-                    if connection.in_transaction:
-                        connection.execute("ROLLBACK")
-                    raise
-            except sqlite3.Error as error:
-                raise failure(error, self.path) from None
-            except OSError as error:
-                raise InspectionError(f"{self.path} can't be written: {error.strerror}.") from None
 
     def _entry(self, line: tuple[Any, ...]) -> Entry:
         try:

@@ -337,8 +337,10 @@ class Monkey:
         if live is None or not live.isVisible():
             self.dock.image.show_live.click()
             return
-        live.source.setCurrentIndex(int(self._rng.integers(live.source.count())))
-        live.source.activated.emit(live.source.currentIndex())
+        side = self._any([live.shown, live.against])
+        rows = [k for k in range(side.count()) if side.itemData(k) is not None]  # no separator
+        side.setCurrentIndex(self._any(rows))
+        side.activated.emit(side.currentIndex())
         live.view.move_divider(float(self._rng.random()))
         if self._rng.random() < 0.3:
             live.flicker.toggle()

@@ -152,6 +152,20 @@ def test_another_task_brings_the_canvas_back(opened: Opened) -> None:
         dock.show_page("Review")
 
 
+def test_a_button_of_the_result_shows_the_module_and_not_the_cell(
+    opened: Opened, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, cells, place = opened
+    navigator, looked = dock.bench.navigator, []
+    monkeypatch.setattr(navigator, "_look_at", lambda *at: looked.append(at[2:4]))
+    click(cells, 1)
+    navigator.to_module()
+    qtbot.waitUntil(lambda: not place._settle.isActive(), timeout=2000)
+    assert not place.is_open
+    module, cell = max(looked), min(looked)
+    assert looked[-1] == module != cell, "the last look is the one that was asked for"
+
+
 def test_without_large_a_click_only_moves_the_view(opened: Opened) -> None:
     _, dock, cells, place = opened
     cells.large.setChecked(False)

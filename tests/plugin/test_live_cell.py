@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from qtpy.QtCore import QPoint, QPointF, QSize, Qt
 from qtpy.QtGui import QImage
 from qtpy.QtTest import QTest
-from qtpy.QtWidgets import QDockWidget
+from qtpy.QtWidgets import QApplication, QDockWidget
 
 from napari_pv_inspect.cell_renderer import (
     CellRenderer,
@@ -28,6 +29,7 @@ from napari_pv_inspect.docks.live_dock import LiveDock
 from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.live_cell import Source
+from napari_pv_inspect.model import RunState
 from pv_inspect.errors import InspectionError
 from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.pipeline import Inspection
@@ -270,6 +272,38 @@ def test_a_geometry_out_of_reach_is_one_sentence(
     names = dock.bench.model.sequence.names
     dock.bench.model.change_settings(skip_frames=names)
     qtbot.waitUntil(lambda: "All frames are left out" in shown.caption.text(), timeout=LONG_MS)
+
+
+def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_setting(
+    live: tuple[InspectDock, LiveDock],
+    qtbot: Any,
+    replayed: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dock, shown = live
+    model = dock.bench.model
+    replayed.go_on = False
+    assert dock.bench.runs.start()
+    asked: list[Settings] = []
+    render = CellRenderer.pictures
+
+    def slow(self: CellRenderer, *given: Any) -> Iterator[Any]:
+        asked.append(given[2])
+        for picture in render(self, *given):
+            sleep(0.005)
+            yield picture
+
+    monkeypatch.setattr(CellRenderer, "pictures", slow)
+    for position in range(200, 350):
+        dock.image.prior_weight.slider.setValue(position)
+        QApplication.processEvents()
+    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    assert model.run_state is RunState.RUNNING
+    assert asked[-1] == model.settings
+    assert len(asked) < 75
+    dock.bench.runs.cancel()
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=LONG_MS)
+    assert has_ended(shown)
 
 
 def test_without_a_run_it_says_what_is_needed(bench: Bench) -> None:

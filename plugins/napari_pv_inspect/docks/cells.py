@@ -30,6 +30,7 @@ from pv_inspect.review import Cell, Order, VerdictKind
 __all__ = ["BY_CRACKS", "BY_POSITION", "CellsDock"]
 
 BY_POSITION, BY_CRACKS, BY_VERDICT = "by position", "by crack score", "by verdict"
+DISPUTED = "raters differ"
 ORDERS = {
     BY_POSITION: Order.POSITION,
     BY_CRACKS: Order.CRACK_SCORE,
@@ -40,6 +41,7 @@ FILTERS: dict[str, tuple[VerdictKind | None, ...]] = {
     "not judged": (None,),
     "judged": tuple(VerdictKind),
     **{kind.label: (kind,) for kind in VerdictKind},
+    DISPUTED: EVERY,
 }
 
 
@@ -69,7 +71,10 @@ class CellsDock(QWidget):
             ORDERS,
             "Order of the cells: as in the module, highest crack score or worst verdict first.",
         )
-        self.filter = _combo(FILTERS, "Show only cells with this verdict of yours.")
+        self.filter = _combo(
+            FILTERS,
+            "Show only cells with this verdict of yours, or those about which raters differ.",
+        )
         self.opacity = _slider(75, "Opacity of the crack marks, percent; 0 hides them.")
         self.threshold = _slider(
             50, "Crack probability, percent, from which pixels are painted; measures nothing."
@@ -176,7 +181,7 @@ class CellsDock(QWidget):
         self._review.set_order(ORDERS[text])
 
     def _on_filter(self, text: str) -> None:
-        self._review.set_filter(FILTERS[text])
+        self._review.set_filter(FILTERS[text], text == DISPUTED)
 
     def _on_opacity(self, percent: int) -> None:
         self.cells.set_opacity(percent / 100)
@@ -209,7 +214,7 @@ class CellsDock(QWidget):
 
     def _to_module(self) -> None:
         if (place := large_cell(self._bench)) is not None:
-            place.leave()
+            place.back()
         self.view.setFocus()
 
     def _fit(self) -> None:

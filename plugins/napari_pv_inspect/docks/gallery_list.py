@@ -153,6 +153,8 @@ class TileDelegate(QStyledItemDelegate):
         self._paint_bar(painter, bar, cell, option)
         for k, verdict in enumerate(self._review.others(cell)[:5]):
             _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)
+        if self._review.is_disputed(cell):
+            _paint_disputed(painter, QRect(area.left(), area.top(), room.width(), room.height()))
         if option.state & QStyle.StateFlag.State_Selected:
             painter.setPen(QPen(option.palette.text().color(), 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -196,6 +198,8 @@ def cell_text(review: ReviewModel, cell: Cell) -> str:
         note = f" ({verdict.note})" if verdict.note else ""
         state = ", not stored yet" if verdict is mine and review.is_pending(cell) else ""
         lines.append(f"{verdict.rater}: {verdict.kind.label}{note}{state}")
+    if review.is_disputed(cell):
+        lines.append("the raters differ")
     return "\n".join(lines)
 
 
@@ -216,6 +220,14 @@ def _paint_other(painter: QPainter, x: int, y: int, verdict: Verdict) -> None:
     painter.setFont(font)
     painter.setPen(ink_on(colour))
     painter.drawText(box, Qt.AlignmentFlag.AlignCenter, verdict.kind.key.upper())
+
+
+def _paint_disputed(painter: QPainter, area: QRect) -> None:
+    """A dashed frame, seen on bright and on dark cells: the raters differ."""
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    for colour, style in (("black", Qt.PenStyle.SolidLine), ("white", Qt.PenStyle.DashLine)):
+        painter.setPen(QPen(QColor(colour), 3, style))
+        painter.drawRect(area.adjusted(2, 2, -2, -2))
 
 
 def _pixmap(picture: np.ndarray, ratio: float) -> QPixmap:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 from qtpy.QtCore import Qt, QTimer, Signal
 from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
@@ -33,6 +36,7 @@ class LargeCell(QWidget):
         super().__init__()
         self._bench = bench
         self._folded: list[tuple[QDockWidget, int, int]] = []
+        self._then: Callable[[], None] | None = None
         self._settle = QTimer(self)
         self._settle.setSingleShot(True)
         self._settle.timeout.connect(self._on_settled)
@@ -45,10 +49,10 @@ class LargeCell(QWidget):
         layout.addWidget(self.view)
         self.hide()
         window.centralWidget().layout().addWidget(self)
-        self.view.back_wanted.connect(self.leave)
+        self.view.back_wanted.connect(self.back)
         self.view.gallery_wanted.connect(self.toggle_gallery)
         listen(bench.review.state.subject_changed, self._on_subject)
-        listen(bench.navigator.canvas_wanted, self.leave)
+        listen(bench.navigator.canvas_wanted, self._on_canvas_wanted)
         listen(bench.session.page_turned, self._on_page)
         listen(bench.closing, self._on_closing)
 
@@ -69,6 +73,12 @@ class LargeCell(QWidget):
             if gallery is not None:
                 self._fold(gallery)
             self.view.setFocus()
+
+    def back(self) -> None:
+        """Show the canvas again, with the cell in its middle."""
+        if self.is_open and (cell := self._bench.model.selected_cell) is not None:
+            self._then = partial(self._bench.navigator.to_cell, *cell)
+        self.leave()
 
     def leave(self) -> None:
         """Show the canvas again."""
@@ -100,6 +110,11 @@ class LargeCell(QWidget):
     def _gallery(self) -> QWidget | None:
         return self._bench.viewer.window.dock_widgets.get(GALLERY)
 
+    def _on_canvas_wanted(self, look: Callable[[], None]) -> None:
+        if self.is_open:
+            self._then = look
+            self.leave()
+
     def _on_page(self, page: str) -> None:
         if page != REVIEW_PAGE:
             self.leave()
@@ -114,6 +129,7 @@ class LargeCell(QWidget):
             self._give_back()
         self._settle.stop()
         self._folded.clear()
+        self._then = None
 
     def _fold(self, dock: QDockWidget) -> None:
         if not dock.isHidden() and not dock.isFloating():
@@ -137,9 +153,9 @@ class LargeCell(QWidget):
             docks, widths, heights = ([*values] for values in zip(*back, strict=True))
             self._window.resizeDocks(docks, widths, Qt.Orientation.Horizontal)
             self._window.resizeDocks(docks, heights, Qt.Orientation.Vertical)
-        cell = self._bench.model.selected_cell
-        if cell is not None and not self.is_open:
-            self._bench.navigator.to_cell(*cell)
+        then, self._then = self._then, None
+        if then is not None and not self.is_open:
+            then()
 
 
 def large_cell(bench: Workbench) -> LargeCell | None:
@@ -147,7 +163,7 @@ def large_cell(bench: Workbench) -> LargeCell | None:
 
     None if there is no window.
     """
-    window: QMainWindow | None = getattr(bench.viewer.window, "_qt_window", None)
+    window: QMainWindow | None = getattr(getattr(bench.viewer, "window", None), "_qt_window", None)
     if window is None:
         return None
     return window.findChild(LargeCell) or LargeCell(bench, window)

@@ -9,6 +9,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtGui import QHideEvent, QShowEvent
 from qtpy.QtWidgets import (
     QCheckBox,
+    QFormLayout,
     QHBoxLayout,
     QLabel,
     QPushButton,
@@ -61,18 +62,16 @@ class LiveDock(QWidget):
         self.caption.setWordWrap(True)
         self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.trials = TrialList(bench.tuning)
-        bar, below = QHBoxLayout(), QHBoxLayout()
-        for text, box in (("Against", self.against), ("Show", self.shown)):
-            label = QLabel(text)
-            label.setBuddy(box)
-            bar.addWidget(label)
-            bar.addWidget(box, 1)
+        sides, below = QFormLayout(), QHBoxLayout()
+        sides.setVerticalSpacing(2)
+        sides.addRow("Show", self.shown)
+        sides.addRow("Against", self.against)
         below.addWidget(self.flicker, 1)
         below.addWidget(self.contrast)
         top = QWidget()
         column = QVBoxLayout(top)
         column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(bar)
+        column.addLayout(sides)
         column.addWidget(self.view, 1)
         column.addLayout(below)
         column.addWidget(self.caption)

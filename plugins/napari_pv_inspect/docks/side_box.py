@@ -13,7 +13,7 @@ from napari_pv_inspect.tuning import Trial
 
 __all__ = ["SideBox"]
 
-ICON = 28
+ICON = 24
 
 
 class SideBox(QComboBox):

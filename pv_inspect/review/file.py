@@ -1,0 +1,113 @@
+"""The file of a review: opened when needed, one transaction at a time, errors in one sentence."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import RLock
+from time import sleep
+from typing import Self
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.review.schema import failure, opened
+
+__all__ = ["REVIEW_FILE", "ReviewFile"]
+
+REVIEW_FILE = "review.sqlite"
+_REPLACED_S = 0.02
+
+
+class ReviewFile:
+    """Connection to the database of a result folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Result folder.
+    busy_s : float
+        How long to wait for another process that is writing.
+    """
+
+    def __init__(self, folder: Path, busy_s: float = 2.0) -> None:
+        self.path = Path(os.path.realpath(folder)) / REVIEW_FILE
+        self._busy_s = busy_s
+        self._lock = RLock()
+        self._connection: sqlite3.Connection | None = None
+        self._file: tuple[int, int] | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the file; it is opened again when it is needed."""
+        with self._lock:
+            if self._connection is not None:
+                self._connection.close()
+            self._connection = self._file = None
+
+    def _exists(self) -> bool:
+        try:
+            return self.path.stat().st_size > 0
+        except OSError:
+            return False
+
+    def _open(self, create: bool) -> sqlite3.Connection | None:
+        """Return the connection to the file that has the name now; None if there is none to read.
+
+        Where a result is replaced without hard links, the file is another one afterwards.
+        """
+        if self._connection is not None and not self._exists():
+            sleep(_REPLACED_S)  # between the two renames of a replacement there is no folder
+            if not self._exists():
+                raise InspectionError(
+                    f"{self.path} is gone although it was in use: put it back, or close this "
+                    "module and open it again."
+                )
+        if not create and not self._exists():
+            return None
+        if self._connection is None or self._identity() != self._file:
+            self.close()
+            self._connection = opened(self.path, create, self._busy_s)
+            self._file = self._identity()
+        return self._connection
+
+    def _identity(self) -> tuple[int, int]:
+        found = self.path.stat()
+        return found.st_dev, found.st_ino
+
+    @contextmanager
+    def reading(self) -> Iterator[sqlite3.Connection | None]:
+        """Read in the block; None if nothing was ever stored."""
+        with self._lock:
+            try:
+                yield self._open(create=False)
+            except sqlite3.Error as error:
+                raise failure(error, self.path) from None
+            except OSError as error:
+                raise InspectionError(f"{self.path} can't be read: {error.strerror}.") from None
+
+    @contextmanager
+    def writing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, on the disk when the block ends; nothing has changed if it raises."""
+        with self._lock:
+            try:
+                connection = self._open(create=True)
+                assert connection is not None
+                connection.execute("BEGIN IMMEDIATE")
+                try:
+                    yield connection
+                    connection.execute("COMMIT")
+                except BaseException:
+                    if connection.in_transaction:
+                        connection.execute("ROLLBACK")
+                    raise
+            except sqlite3.Error as error:
+                raise failure(error, self.path) from None
+            except OSError as error:
+                raise InspectionError(f"{self.path} can't be written: {error.strerror}.") from None
