@@ -114,7 +114,6 @@ class LiveKappa:
         self._held: dict[int, Point] = {}
         self.held_rms_px: float | None = None
         self._throttled = qthrottled(self.update, timeout=THROTTLE_MS)
-        # After an edit the window may answer between the points and the grid.
         self._soon = QTimer()
         self._soon.setSingleShot(True)
         self._soon.timeout.connect(self._throttled)
@@ -148,7 +147,7 @@ class LiveKappa:
         if self._held:
             self._throttled()
         else:
-            # The edit that follows, or the way back, is drawn when it is entered.
+            # An edit that follows comes before that, with a grid of its own.
             self.held_rms_px = None
             self._soon.start(0)
 
@@ -204,7 +203,10 @@ class LiveKappa:
             self._soon.start(0)
 
     def _on_inspection(self, _: Inspection | None) -> None:
-        self._soon.start(0)
+        # At once: points and grid share one repaint.
+        self._throttled.cancel()
+        self._soon.stop()
+        self.update()
 
     def _on_step(self, _: object = None) -> None:
         # Not within the event: it comes too while napari adds a layer, and it adds one at a time.

@@ -190,16 +190,13 @@ class InspectDock(QWidget):
         self.setStyleSheet(style(self.bench.viewer.theme))
 
     def _on_deed(self, deed: Deed) -> None:
+        """Do the next step; a run, and its end, have buttons of their own."""
         if deed is Deed.OPEN:
             self._on_open_folder()
         elif deed is Deed.CONFIRM:
             self.bench.model.confirm_layout()
         elif deed is Deed.DETECT:
             self._on_detect()
-        elif deed is Deed.RUN:
-            self._on_run()
-        elif deed is Deed.CANCEL:
-            self._on_cancel()
         elif deed is Deed.GIVE_LAYOUT:
             self.show_page("Grid")
             self.module.rows.setFocus()

@@ -40,6 +40,9 @@ class GeometryLayers:
 
     def bend(self, frame: int, segments: NDArray[np.float64]) -> None:
         """Show other grid lines in one frame, in place of the fitted ones, until `straighten`."""
+        shown = self._bent.get(frame)
+        if shown is not None and np.array_equal(shown, segments):
+            return
         if frame < len(self._grid):
             self._bent = {frame: segments}
             self._draw_grid()
