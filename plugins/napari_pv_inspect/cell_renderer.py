@@ -21,12 +21,14 @@ from pv_inspect.settings import Settings
 __all__ = [
     "CellPicture",
     "CellRenderer",
+    "basis_of",
     "best_frame",
     "bicubic_cell",
     "default_cell",
     "lambda_in_use",
     "registration_for",
     "run_cell",
+    "same_basis",
 ]
 
 Image = NDArray[np.float32]
@@ -68,7 +70,7 @@ class CellRenderer:
     """Reconstructs cells of one inspection; keeps what a change of the settings leaves valid."""
 
     def __init__(self) -> None:
-        self._known: tuple[object, object] = (None, None)
+        self._known: tuple[object, ...] = ()
         self._base: Preview | None = None
         self._moved_for: tuple[object, ...] = ()
         self._preview: Preview | None = None
@@ -122,9 +124,9 @@ class CellRenderer:
     def _preview_for(self, inspection: Inspection, settings: Settings) -> Preview:
         registration, whole = inspection.registration, inspection.reconstruction
         assert registration is not None
-        if self._base is None or not _same(self._known, (registration, whole)):
+        if self._base is None or not same_basis(self._known, basis_of(inspection)):
             self._base = Preview(inspection.sequence, registration, whole)
-            self._known = (registration, whole)
+            self._known = basis_of(inspection)
             self._moved_for, self._preview = (), self._base
         wanted = (settings.kappa, settings.skip_frames)
         if wanted != self._moved_for or self._preview is None:
@@ -226,5 +228,11 @@ def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | 
     return made.prior_weight
 
 
-def _same(a: tuple[object, ...], b: tuple[object, ...]) -> bool:
+def basis_of(inspection: Inspection | None) -> tuple[object, ...]:
+    """Return what pictures of an inspection are made of, beside the settings."""
+    return () if inspection is None else (inspection.registration, inspection.reconstruction)
+
+
+def same_basis(a: tuple[object, ...], b: tuple[object, ...]) -> bool:
+    """Whether pictures of one are pictures of the other."""
     return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))

@@ -13,9 +13,11 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.cell_renderer import (
     CellPicture,
     CellRenderer,
+    basis_of,
     bicubic_cell,
     default_cell,
     run_cell,
+    same_basis,
 )
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.newest import Job, NewestWins
@@ -59,7 +61,7 @@ class LiveCell(QObject):
     """CellPicture of the selected cell with the settings of the controls."""
     reference_ready = Signal()
     failed = Signal(str)
-    _arrived = Signal(object, object)
+    _arrived = Signal(object, object, object)
 
     def __init__(self, model: WorkbenchModel, tuning: Tuning) -> None:
         super().__init__()
@@ -171,13 +173,13 @@ class LiveCell(QObject):
             shown = False
             for picture in self._live.pictures(inspection, cell, settings, superseded):
                 if picture is not None:
-                    self._tell(None, picture)
+                    self._tell(inspection, None, picture)
                     shown = True
                 # Not before the first picture, or a moving slider would never show one.
                 if self._closed or (shown and superseded()):
                     return
 
-        self._guarded(work)
+        self._guarded(inspection, work)
         return True
 
     def _render_beside(
@@ -194,12 +196,12 @@ class LiveCell(QObject):
             nonlocal done
             for picture in self._beside.pictures(inspection, cell, settings):
                 if picture is not None and picture.finished:
-                    self._tell(key, picture)
+                    self._tell(inspection, key, picture)
                 elif superseded():
                     done = False
                     return
 
-        self._guarded(work)
+        self._guarded(inspection, work)
         return done
 
     def _rectify(
@@ -210,26 +212,31 @@ class LiveCell(QObject):
         magnification: float,
         _: Callable[[], bool],
     ) -> bool:
-        self._guarded(lambda: self._tell(key, bicubic_cell(inspection, cell, magnification)))
+        def work() -> None:
+            self._tell(inspection, key, bicubic_cell(inspection, cell, magnification))
+
+        self._guarded(inspection, work)
         return True
 
-    def _guarded(self, work: Callable[[], None]) -> None:
+    def _guarded(self, inspection: Inspection, work: Callable[[], None]) -> None:
         try:
             work()
         except InspectionError as error:
-            self._tell(None, str(error))
+            self._tell(inspection, None, str(error))
         except Exception as error:
             log.exception("the live cell failed")
-            self._tell(None, f"This cell can't be shown ({type(error).__name__}: {error}).")
+            sentence = f"This cell can't be shown ({type(error).__name__}: {error})."
+            self._tell(inspection, None, sentence)
 
-    def _tell(self, key: Key | None, what: CellPicture | str) -> None:
+    def _tell(self, inspection: Inspection, key: Key | None, what: CellPicture | str) -> None:
         if not self._closed:
-            self._arrived.emit(key, what)
+            self._arrived.emit(inspection, key, what)
 
     # And these in the main thread again.
 
-    def _on_arrival(self, key: Key | None, what: CellPicture | str) -> None:
-        if self._closed:
+    def _on_arrival(self, inspection: Inspection, key: Key | None, what: CellPicture | str) -> None:
+        # Of another sequence or geometry, by now: what was under way then could not be called back.
+        if self._closed or not same_basis(basis_of(inspection), self._basis):
             return
         if isinstance(what, str):
             self._asked_beside = None
@@ -252,13 +259,8 @@ class LiveCell(QObject):
         self._ask()
 
     def _on_inspection(self, _: Inspection | None) -> None:
-        inspection = self._model.inspection
-        basis: Key = (
-            () if inspection is None else (inspection.registration, inspection.reconstruction)
-        )
-        if len(basis) != len(self._basis) or any(
-            a is not b for a, b in zip(basis, self._basis, strict=True)
-        ):
+        basis = basis_of(self._model.inspection)
+        if not same_basis(basis, self._basis):
             self._basis = basis
             self._asked, self._asked_beside = (), None
             self._references.clear()

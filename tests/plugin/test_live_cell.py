@@ -306,6 +306,38 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
     assert has_ended(shown)
 
 
+def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
+    live: tuple[InspectDock, LiveDock], qtbot: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dock, shown = live
+    settled(qtbot, shown)
+    model, render, begun, go_on = dock.bench.model, CellRenderer.pictures, Event(), Event()
+    before = model.inspection
+    late: list[Any] = []
+
+    def slow(self: CellRenderer, *given: Any) -> Iterator[Any]:
+        if given[0] is not before:
+            yield from render(self, *given)
+            return
+        begun.set()
+        go_on.wait(LONG_MS / 1e3)
+        for picture in render(self, *given):
+            late.append(picture)
+            yield picture
+
+    monkeypatch.setattr(CellRenderer, "pictures", slow)
+    arrived: list[Any] = []
+    dock.bench.live_cell.pictured.connect(arrived.append)
+    model.change_settings(prior_weight=4.0)
+    assert begun.wait(LONG_MS / 1e3)
+    model.inspection = replace(before, registration=replace(before.registration))
+    model.inspection_changed.emit(model.inspection)
+    go_on.set()
+    qtbot.waitUntil(lambda: bool(arrived) and arrived[-1].finished, timeout=LONG_MS)
+    assert any(picture is not None for picture in late)
+    assert not any(one is other for one in arrived for other in late)
+
+
 def test_without_a_run_it_says_what_is_needed(bench: Bench) -> None:
     _, dock, _ = bench
     shown = show_live_cell(dock.bench, dock)
