@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -80,11 +81,11 @@ def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
     replace_file(table_path, verdicts_csv(result.cells, verdicts).encode())
     replace_file(page_path, page.encode())
     technical = result.folder / "report.html"
-    if technical.is_file():
-        layout = result.grid.layout
-        raters, done = raters_of(verdicts), progress(verdicts, layout).text
+    with suppress(OSError):  # one that is gone or locked is no reason to fail
+        before = technical.read_bytes()
+        raters, done = raters_of(verdicts), progress(verdicts, result.grid.layout).text
         state = f"{done} by {', '.join(raters)}" if raters else done
-        replace_file(technical, with_review_state(technical.read_bytes(), state))
+        replace_file(technical, with_review_state(before, state))
     return table_path, page_path
 
 

@@ -203,3 +203,14 @@ def test_the_technical_report_points_to_the_one_with_verdicts(result: Result) ->
 
 def test_a_report_without_a_place_for_the_review_stays_as_it_is() -> None:
     assert with_review_state(b"<p>old</p>", "1 of 2 cells judged") == b"<p>old</p>"
+
+
+def test_a_technical_report_that_can_not_be_read_keeps_no_review_from_being_written(
+    result: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: Path) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    with ReviewStore(result.folder) as store:
+        assert all(path.is_file() for path in export_review(result, store))
