@@ -24,9 +24,11 @@ OK = VerdictKind.OK
 
 
 @pytest.fixture(autouse=True)
-def settings_of_its_own(tmp_path: Path) -> None:
+def settings_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kind = QSettings.Format.IniFormat
     QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+    discard = QMessageBox.StandardButton.Discard
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
 
 
 @pytest.fixture
@@ -194,8 +196,6 @@ def test_what_the_user_discards_is_not_told_again(
     state = dock.bench.review.state
     state.failed.connect(said.append)
     state.give((0, 0), OK)
-    buttons = QMessageBox.StandardButton
-    monkeypatch.setattr(QMessageBox, "question", lambda *_: buttons.Discard)
     assert dock.bench.opener.may_leave()
     dock.bench.model.open(tiny_inspection.sequence)
     assert state.pending == 0
