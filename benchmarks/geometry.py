@@ -34,7 +34,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TypeVar
 
 import cv2
 import numba
@@ -56,7 +55,6 @@ from pv_inspect.simulate import SimulationSettings, simulated
 from pv_inspect.simulate.exposure import camera_matrix, choose_poses
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 STAGES = ("open", "detect", "calibrate", "register")
 SILENT_PX = 0.5
 """A frame whose crossings are further off than this although it is used has failed silently."""

@@ -373,6 +373,9 @@ def gui(
         launch(sequence)
 
 
+_DISPLAY_S = 30.0
+
+
 def _need_a_display() -> None:
     """Look for one from outside: Qt aborts its own process where it finds none."""
     if sys.platform != "linux":
@@ -384,9 +387,18 @@ def _need_a_display() -> None:
             "through ssh -X; `pv-inspect run` works without."
         )
     probe = "from qtpy.QtGui import QGuiApplication; QGuiApplication([])"
-    asked = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True)
-    if asked.returncode != 0:
-        said = next((line for line in asked.stderr.splitlines() if "qt.qpa" in line), "no reason")
+    said = ""
+    try:
+        asked = subprocess.run(
+            [sys.executable, "-c", probe], capture_output=True, text=True, timeout=_DISPLAY_S
+        )
+    except subprocess.TimeoutExpired:
+        said = f"the display has not answered for {_DISPLAY_S:.0f} s"
+    else:
+        if asked.returncode != 0:
+            lines = (line for line in asked.stderr.splitlines() if "qt.qpa" in line)
+            said = next(lines, "no reason is known")
+    if said:
         raise InspectionError(
             f"The workbench can't open a window ({said}): check DISPLAY and that Qt's system "
             "libraries are installed; `pv-inspect run` works without."

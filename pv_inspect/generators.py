@@ -54,14 +54,10 @@ def result_of(work: Generator[A, None, T], each: Callable[[A], Any] | None = Non
     object
         What the work returned.
     """
-    try:
-        while True:
-            try:
-                item = next(work)
-            except StopIteration as end:
-                result: T = end.value
-                return result
-            if each is not None:
-                each(item)
-    finally:
-        work.close()
+    steps = relayed(work, each or (lambda _: None))
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: T = end.value
+            return result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,8 +15,6 @@ from pv_inspect.observation import ObservationModel, SensorRays
 from pv_inspect.registration import Registration
 from pv_inspect.sequence import Frame, NoiseModel
 from pv_inspect.settings import Settings
-
-T = TypeVar("T")
 
 SHAPE = (64, 88)
 CAMERA = Camera(np.array([[200.0, 0, 43.5], [0, 200.0, 31.5], [0, 0, 1]]), -0.1)

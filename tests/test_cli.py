@@ -267,6 +267,8 @@ def test_gui_on_a_display_that_does_not_answer_is_one_sentence(
     monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
     monkeypatch.setenv("DISPLAY", ":98765")
     refused(called("gui"), r"can\'t open a window \(qt.qpa")
+    monkeypatch.setattr(cli, "_DISPLAY_S", 0.0)
+    refused(called("gui"), r"the display has not answered for 0 s")
 
 
 def test_gui_with_a_missing_sequence_is_one_sentence(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
-T = TypeVar("T")
 Small = tuple[SimulatedSequence, Path]
 
 ROWS, COLS, N = 4, 6, 8

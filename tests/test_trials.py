@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pv_inspect import trials as module
 from pv_inspect.errors import InspectionError
@@ -76,6 +80,45 @@ def test_a_record_that_is_none_is_one_sentence(tmp_path: Path, record: dict[str,
         about=np.array(json.dumps(about)),
         picture_0=np.zeros((2, 2), np.float16),
     )
+    with pytest.raises(InspectionError, match="can't be read"):
+        read_trials(tmp_path)
+
+
+def npy(array: NDArray[Any]) -> bytes:
+    content = io.BytesIO()
+    np.lib.format.write_array(content, array)
+    return content.getvalue()
+
+
+HUGE = str({"descr": "<f2", "fortran_order": False, "shape": (10**12, 100)}).ljust(117).encode()
+
+
+@pytest.mark.parametrize(
+    ("about", "picture"),
+    [
+        ("[{}]", b"no array"),
+        ("[{}]", b"\x93NUMPY\x01\x00v\x00" + HUGE + b"\n"),
+        ("[" * 100_000, npy(np.zeros((2, 2), np.float16))),
+        ('[{"cell": [Infinity, 0], "settings": {}}]', npy(np.zeros((2, 2), np.float16))),
+    ],
+    ids=["no array", "larger than the memory", "deep", "infinite"],
+)
+def test_a_file_that_was_made_to_do_harm_is_one_sentence(
+    tmp_path: Path, about: str, picture: bytes
+) -> None:
+    with zipfile.ZipFile(tmp_path / "trials.npz", "w") as file:
+        file.writestr("about.npy", npy(np.array(about)))
+        file.writestr("picture_0.npy", picture)
+    with pytest.raises(InspectionError, match="can't be read"):
+        read_trials(tmp_path)
+
+
+def test_a_damaged_compressed_file_is_one_sentence(tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "trials.npz", about=np.array("[]"))
+    path = tmp_path / "trials.npz"
+    content = path.read_bytes()
+    begin = content.index(b"about.npy") + len("about.npy") + 20
+    path.write_bytes(content[:begin] + b"\xff" * 10 + content[begin + 10 :])
     with pytest.raises(InspectionError, match="can't be read"):
         read_trials(tmp_path)
 

@@ -34,11 +34,11 @@ class Navigator:
     def to_all(self) -> None:
         """Show frames and module image side by side."""
         self.layers_wanted.emit()
+        self.canvas_wanted.emit(self.fit)
         self.fit()
 
     def fit(self) -> None:
-        """Show all layers that there are."""
-        self.canvas_wanted.emit(self.fit)
+        """Show all layers that there are; what covers the canvas stays."""
         self._viewer.reset_view()
 
     def to_frames(self) -> None:

@@ -26,15 +26,15 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
     if not isinstance(path, (str, Path)):
         return read_sequence if path and all(_is_image(Path(p)) for p in path) else None
     place = Path(path)
-    if place.is_dir():
+    try:
+        if not place.is_dir():
+            return read_sequence if place.suffix.lower() in {".tif", ".tiff"} else None
         if (place / "result.json").is_file():
             return read_result
         folder = place / "frames" if (place / "frames").is_dir() else place
-        try:
-            return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
-        except OSError:
-            return read_sequence  # It says why the folder can't be read.
-    return read_sequence if place.suffix.lower() in {".tif", ".tiff"} else None
+        return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
+    except OSError:
+        return read_sequence  # It says why the folder can't be read.
 
 
 def read_sequence(path: Any) -> list[LayerData]:

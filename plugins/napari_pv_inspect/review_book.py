@@ -56,7 +56,8 @@ class Side:
         What is not stored yet is newer.
         """
         taken = [cell for cell in read if not self.unstored[cell]]
-        self.corrected |= {cell: Corrected(read[cell], None) for cell in taken}
+        newer = {cell: marks for cell, marks in self.corrected.items() if self.unstored[cell]}
+        self.corrected = {**{cell: Corrected(read[cell], None) for cell in taken}, **newer}
         return taken
 
     def put_saying(self, cell: Cell, verdict: Verdict | None, note: str) -> None:

@@ -185,7 +185,7 @@ class TakeOver:
     def __call__(self, store: ReviewStore) -> str:
         """Do it; it may be done again if it fails."""
         if self._here is None:
-            self._here = {(v.rater, v.cell) for v in store.current()}
+            self._here = set(store.contents().said)
         differ: set[tuple[str, Cell]] = set()
         sentences = []
         try:

@@ -162,7 +162,7 @@ class Journal:
     def _next(self) -> _Entry | None:
         """Wait for something to do; None: it is time to end."""
         with self._changed:
-            if self._failing:
+            if self._failing and self.folder is not None:
                 self._changed.wait_for(lambda: self._hurry, self._retry_s)
                 self._hurry = False
             else:

@@ -41,13 +41,13 @@ class Contents:
     states: tuple[_Line, ...] = ()
 
     @property
-    def latest(self) -> dict[_Place, tuple[Any, ...]]:
-        """Verdict, note and mask that hold, by rater and cell."""
+    def said(self) -> dict[_Place, tuple[Any, ...]]:
+        """Verdict, note and mask that hold, by rater and cell, where there is any of them."""
         found = {}
         for _, line in self.lines:
             mask = None if line[_MASK] is None else self.masks[line[_MASK]]
             found[_place(line)] = (*line[_SAID], mask)
-        return found
+        return {place: said for place, said in found.items() if any(said)}
 
 
 def contents(connection: sqlite3.Connection) -> Contents:
@@ -76,11 +76,15 @@ def merge(connection: sqlite3.Connection, other: Contents) -> tuple[_Place, ...]
         Where both say something, and not the same.
     """
     here = contents(connection)
-    known, numbers, masks = here.latest, dict[int, int](), dict[int, int]()
+    known, news = here.said, other.said
+    begun = {_place(line) for _, line in here.lines}
+    numbers, masks = dict[int, int](), dict[int, int]()
     marks = ", ".join("?" * len(_COLUMNS))
     insert = f"INSERT INTO history ({', '.join(_COLUMNS)}) VALUES ({marks})"
     for number, line in other.lines:
-        if _place(line) in known:
+        place = _place(line)
+        # What was said here and taken back again gives way.
+        if place in known or (place in begun and place not in news):
             continue
         values = list(line)
         if (mask := line[_MASK]) is not None:
@@ -99,9 +103,7 @@ def merge(connection: sqlite3.Connection, other: Contents) -> tuple[_Place, ...]
     connection.executemany(
         'INSERT OR IGNORE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)', other.states
     )
-    return tuple(
-        place for place, said in other.latest.items() if place in known and known[place] != said
-    )
+    return tuple(place for place, said in news.items() if known.get(place, said) != said)
 
 
 def _place(line: _Line) -> _Place:

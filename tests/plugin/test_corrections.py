@@ -10,6 +10,7 @@ from qtpy.QtGui import QImage
 from qtpy.QtWidgets import QMessageBox
 
 from napari_pv_inspect.appearance import CORRECTED, CRACKS
+from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
 
 Shown = tuple[Any, Any, Any]
@@ -77,12 +78,9 @@ def test_deleted_layers_break_nothing(shown: Shown) -> None:
 def test_a_preview_of_another_image_hides_the_marks(shown: Shown) -> None:
     viewer, state, mask = shown
     state.correct(CELL, mask)
-    dock_model = viewer.layers[CORRECTED]
-    from napari_pv_inspect.workbench import Workbench
-
     bench = Workbench.of(viewer)
     bench.module.preview(np.zeros((20, 30), np.float32))
-    assert not dock_model.visible
+    assert not viewer.layers[CORRECTED].visible
     bench.model.inspection_changed.emit(bench.model.inspection)
     assert viewer.layers[CORRECTED].visible
     assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -164,6 +165,22 @@ def test_a_button_of_the_result_shows_the_module_and_not_the_cell(
     assert not place.is_open
     module, cell = max(looked), min(looked)
     assert looked[-1] == module != cell, "the last look is the one that was asked for"
+
+
+def test_a_run_that_ends_does_not_take_the_large_cell_away(
+    opened: Opened, tiny_inspection: Inspection, qtbot: QtBot
+) -> None:
+    _, dock, cells, place = opened
+    qtbot.waitUntil(lambda: not dock.bench._fit_timer.isActive(), timeout=2000)
+    click(cells, 1)
+    model = dock.bench.model
+    model.inspection = replace(tiny_inspection, cracks=replace(tiny_inspection.cracks))
+    with qtbot.waitSignal(cells.filled):
+        model.inspection_changed.emit(model.inspection)
+    qtbot.waitUntil(lambda: not dock.bench._fit_timer.isActive(), timeout=2000)
+    assert place.is_open
+    dock.bench.navigator.to_all()
+    assert not place.is_open
 
 
 def test_without_large_a_click_only_moves_the_view(opened: Opened) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from qtpy.QtWidgets import QInputDialog, QMessageBox
+from qtpy.QtWidgets import QInputDialog, QMenu, QMessageBox
 
 from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.history import History
@@ -117,6 +117,7 @@ def test_the_menu_lists_the_presets_and_marks_what_is_shown(menu: PresetMenu) ->
     assert entries(menu) == {"Automatic": True, "strong && fine": False}
     menu.remove("strong & fine")
     assert entries(menu) == {"Automatic": True}
+    assert len(menu.menu().findChildren(QMenu)) == 1, "what was listed before is gone"
 
 
 def test_a_damaged_preset_is_listed_and_one_sentence(menu: PresetMenu) -> None:

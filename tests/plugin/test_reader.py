@@ -114,6 +114,17 @@ def test_a_folder_that_can_not_be_read_is_one_sentence(
     assert "permissions" in sentences[0]
 
 
+@pytest.mark.parametrize("question", ["is_dir", "is_file", "iterdir"])
+def test_a_folder_that_may_not_be_looked_into_is_ours_to_explain(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, question: str
+) -> None:
+    def refuse(_: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, question, refuse)
+    assert get_reader(str(tmp_path)) is read_sequence
+
+
 def test_a_broken_sequence_is_one_sentence_and_no_layer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

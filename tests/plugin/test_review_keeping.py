@@ -152,6 +152,30 @@ def test_saving_elsewhere_never_replaces_what_is_said_there(
     assert str(first) in sentence
 
 
+def test_notes_and_marks_that_stay_in_the_other_folder_are_told_and_shown(
+    make: Make, folders: tuple[Path, Path]
+) -> None:
+    first, second = folders
+    review = make("Ada")
+    mask = line_on(review)
+    with ReviewStore(second) as store:
+        store.note((0, 0), "Ada", "look again")
+        store.give(Verdict(1, 1, C, "Ada"))
+    said: list[str] = []
+    review.failed.connect(said.append)
+    review.attach(first)
+    review.give((0, 0), A)
+    review.correct((1, 1), mask)
+    assert review.wait(10)
+    review.attach(second)
+    assert review.wait(10)
+    until(review, lambda: said)
+    assert "2 cells already" in said[0]
+    assert (review.verdict((0, 0)), review.note((0, 0))) == (None, "look again")
+    assert review.verdict((1, 1)).kind is C
+    assert review.correction((1, 1)) is None
+
+
 def test_what_the_full_disk_refused_goes_into_the_other_folder(
     make: Make, folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -278,6 +278,27 @@ def test_leaving_a_module_stores_what_is_pending(
     assert len(ReviewStore(tmp_path).current()) == 4
 
 
+def test_without_a_folder_nobody_asks_the_store_also_after_a_failure(tmp_path: Path) -> None:
+    said: list[str] = []
+    asked, tried, done = Event(), Event(), Event()
+    journal = Journal(said.append, lambda _: asked.set(), lambda _: None, retry_s=0.01, poll_s=0.01)
+
+    def fail() -> None:
+        tried.set()
+        raise ValueError("no features")
+
+    journal.later(fail, lambda _: None)
+    assert tried.wait(5)
+    assert not asked.wait(0.2)
+    journal.later(done.set, lambda _: None)
+    assert done.wait(5)
+    journal.attach(tmp_path, lambda _: None, lambda _: None)
+    assert journal.wait(5)
+    journal.collect()
+    assert said == ["The review can't be stored (ValueError: no features)."]
+    journal.close(give_up=True)
+
+
 def test_what_has_time_waits_for_what_has_to_be_stored(tmp_path: Path) -> None:
     seen: list[str] = []
     journal = Journal(lambda _: None, lambda _: None, lambda _: None, poll_s=0.01)

@@ -148,7 +148,7 @@ def test_a_locked_database_is_one_sentence_and_the_verdict_is_stored_when_it_is_
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is write-protected for root")
 def test_a_write_protected_folder_is_one_sentence_and_keeps_the_verdict(
-    tiny_inspection: Inspection, tmp_path: Path
+    tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot
 ) -> None:
     said: list[str] = []
     review = ReviewModel(History(), "Ada", lambda *calls: Journal(*calls, retry_s=0.05))
@@ -157,7 +157,13 @@ def test_a_write_protected_folder_is_one_sentence_and_keeps_the_verdict(
     tmp_path.chmod(0o500)
     review.attach(tmp_path)
     review.give((0, 0), OK)
-    assert not review.wait(0.5)
+
+    def told() -> bool:
+        review.collect()
+        return bool(said)
+
+    qtbot.waitUntil(told, timeout=10_000)
+    assert not review.wait(0.2)
     assert len(said) == 1
     assert review.verdict((0, 0)).kind is OK
     tmp_path.chmod(0o700)

@@ -545,3 +545,23 @@ def test_an_empty_review_and_the_same_folder_are_nothing_to_take_over(tmp_path: 
         assert store.merge(empty.contents()) == ()
         assert store.merge(ReviewStore(tmp_path).contents()) == ()
         assert len(store.history()) == 1
+
+
+def test_what_was_taken_back_in_the_other_folder_does_not_keep_a_verdict_out(
+    tmp_path: Path,
+) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    with ReviewStore(tmp_path / "a") as source, ReviewStore(tmp_path / "b") as target:
+        for store, kind in ((source, VerdictKind.CRACK_A), (target, VerdictKind.OK)):
+            store.give(verdict(0, 0, kind))
+            store.give(verdict(0, 1, kind))
+        target.withdraw((0, 0), "Ann")
+        source.withdraw((0, 1), "Ann")
+        for _ in range(2):
+            assert target.merge(source.contents()) == ()
+            assert {v.cell: v.kind for v in target.current()} == {
+                (0, 0): VerdictKind.CRACK_A,
+                (0, 1): VerdictKind.OK,
+            }
+        assert len(target.history()) == 4

@@ -52,6 +52,7 @@ class PresetMenu(QPushButton):
         menu = QMenu(self)
         menu.setToolTipsVisible(True)
         menu.aboutToShow.connect(self.refill)
+        self._delete = QMenu("Delete", menu)  # `clear` would leave one behind each time
         self.setMenu(menu)
 
     def refill(self) -> None:
@@ -67,10 +68,11 @@ class PresetMenu(QPushButton):
         menu.addSeparator()
         save = menu.addAction("Save as...", self._on_save)
         save.setToolTip("Keep the settings of this page under a name.")
-        delete = menu.addMenu("Delete")
-        delete.setEnabled(bool(names))
+        menu.addMenu(self._delete)
+        self._delete.clear()
+        self._delete.setEnabled(bool(names))
         for name in names:
-            delete.addAction(_shown(name), partial(self._on_delete, name))
+            self._delete.addAction(_shown(name), partial(self._on_delete, name))
         menu.addSeparator()
         load = menu.addAction("Load from file...", self._on_load)
         load.setToolTip("Take the settings of this page from a file.")
