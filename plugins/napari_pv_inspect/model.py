@@ -23,6 +23,9 @@ from pv_inspect.settings import Settings, Stage
 __all__ = ["Failure", "RunState", "WorkbenchModel"]
 
 
+FRAMES_GONE = "The frames of this result are not there: nothing can be computed from it."
+
+
 class RunState(Enum):
     """Whether a run is under way."""
 
@@ -49,6 +52,8 @@ class WorkbenchModel:
         What the controls say; the next run uses it.
     result : Result or None
         A result folder that is looked at; nothing of it is computed again.
+    frames_gone : str
+        One sentence while the frames of that result can't be used: why; "" else.
     run_settings : Settings
         What the current run was started with.
     run_until : Stage or None
@@ -87,6 +92,7 @@ class WorkbenchModel:
         self.guess: LayoutGuess | None = None
         self.guessing = False
         self.result: Result | None = None
+        self.frames_gone = ""
         self.run_state = RunState.IDLE
         self.run_until: Stage | None = None
         self.running_stage: Stage | None = None
@@ -133,6 +139,7 @@ class WorkbenchModel:
         self.sequence = sequence
         self.guess = None
         self.inspection = self.draft = self.result = None
+        self.frames_gone = ""
         self.failure = self.run_until = self.running_stage = None
         self._enter(RunState.IDLE)
         self.settings = settings
@@ -189,10 +196,17 @@ class WorkbenchModel:
             self.selected_cell = cell
             self.cell_selected.emit(cell)
 
-    def open_result(self, result: Result) -> None:
-        """Look at a result folder whose frames are not there; its settings go into the controls."""
+    def open_result(self, result: Result, why: str = FRAMES_GONE) -> None:
+        """Look at a result folder without its frames; its settings go into the controls.
+
+        Parameters
+        ----------
+        result : Result
+        why : str
+            One sentence: why the frames can't be used.
+        """
         self._put(None, _with_layout(result.settings, result.grid.layout))
-        self.result = result
+        self.result, self.frames_gone = result, why
         self.result_opened.emit(result)
 
     def change_settings(self, **values: Any) -> None:

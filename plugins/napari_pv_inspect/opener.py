@@ -180,7 +180,7 @@ class Opener(QObject):
         elif opened.inspection is not None and opened.result is not None:
             model.restore(opened.inspection, opened.result)
         elif opened.result is not None:
-            model.open_result(opened.result)
+            model.open_result(opened.result, opened.trouble)
         elif opened.sequence is not None:
             model.open(opened.sequence)
 

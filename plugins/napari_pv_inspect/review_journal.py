@@ -72,6 +72,7 @@ class Journal:
         self._line: deque[_Entry] = deque()
         self._idle: deque[_Entry] = deque()
         self._finished: deque[Callable[[], None]] = deque()
+        self._attempt = self._failed_attempt = 0
         self._failing = self._closing = self._giving_up = self._hurry = False
         self._thread: Thread | None = None
 
@@ -120,13 +121,20 @@ class Journal:
             self._finished.popleft()()
 
     def wait(self, timeout_s: float) -> bool:
-        """Try what failed again now and wait; returns whether everything is stored."""
+        """Try what failed again now and wait; returns whether everything is stored.
+
+        An attempt that fails ends the wait.
+        """
         if self.folder is None:
             return not self._line
         with self._changed:
             self._hurry = True
             self._changed.notify_all()
-            return self._changed.wait_for(lambda: not self._line, timeout_s)
+            before = self._attempt
+            self._changed.wait_for(
+                lambda: not self._line or self._failed_attempt > before, timeout_s
+            )
+            return not self._line
 
     def close(self, give_up: bool) -> None:
         """End the thread as soon as the line is empty; ``give_up``: also if storing fails."""
@@ -164,6 +172,7 @@ class Journal:
             if self._closing and (not line or (self._failing and self._giving_up)):
                 return None
             if line:
+                self._attempt += 1
                 return line[0]
             return self._idle.popleft() if self._idle else self._watch
 
@@ -181,6 +190,9 @@ class Journal:
                 self._finished.append(lambda: self._on_failure(sentence))
             with self._changed:
                 self._failing = True
+                if entry is not self._watch:
+                    self._failed_attempt = self._attempt
+                self._changed.notify_all()
             return
         if entry is not self._watch or value is not None:
             self._finished.append(lambda: entry.done(value))

@@ -17,7 +17,7 @@ from napari_pv_inspect.review_book import Book
 from napari_pv_inspect.review_jobs import Corrected, Loaded, TakeOver, Unstored
 from napari_pv_inspect.review_journal import Done, Job, Journal, wait_for_all
 from napari_pv_inspect.review_subject import Mask, Subject
-from napari_pv_inspect.review_view import ReviewView
+from napari_pv_inspect.review_view import NO_CELLS, ReviewView
 from pv_inspect.review import Cell, ModuleData, ReviewState, ReviewStore, Verdict
 
 __all__ = ["ReviewKeeping"]
@@ -36,6 +36,10 @@ class ReviewKeeping(ReviewView):
 
     Attributes
     ----------
+    reviewed : Subject or None
+        What the verdicts are about, also while its cells are not shown.
+    given_up : int
+        How many entries the user has agreed to lose.
     module_data : ModuleData
     """
 
@@ -54,7 +58,8 @@ class ReviewKeeping(ReviewView):
         self._journal = self._new_journal()
         self._earlier: list[Journal] = []
         self._asked_for_folder = False
-        self._version = 0
+        self._version = self.given_up = 0
+        self.reviewed: Subject | None = None
         self.module_data = ModuleData()
 
     @property
@@ -70,7 +75,7 @@ class ReviewKeeping(ReviewView):
     @property
     def is_failing(self) -> bool:
         """Whether storing fails just now."""
-        return self._journal.failing
+        return any(journal.failing for journal in (*self._earlier, self._journal))
 
     # What is reviewed, where, and by whom
 
@@ -80,12 +85,12 @@ class ReviewKeeping(ReviewView):
         Verdicts stay with the folder as long as the module is the same one: the next run of it
         goes on where this one is.
         """
-        before = self.subject
         other_folder = folder is not None and self.folder not in (None, folder)
-        leaves = not _same_module(before, subject) or other_folder
+        leaves = not _same_module(self.reviewed, subject) or other_folder
         if leaves:
             self.flush_wanted.emit()
-        self.subject = subject
+        self.subject = self.reviewed = subject
+        self.why_empty = NO_CELLS
         if subject is not None and subject.cracks is not None:
             self.threshold = subject.cracks.threshold
         cells = () if subject is None or subject.cracks is None else subject.cracks.cells
@@ -98,6 +103,21 @@ class ReviewKeeping(ReviewView):
         self.listing_changed.emit()
         if folder is not None:
             self.attach(folder)
+
+    def empty(self, why: str) -> None:
+        """Show no cells until the next run; what was said stays with the module.
+
+        Parameters
+        ----------
+        why : str
+            One sentence, also what to do.
+        """
+        if self.subject is None and why == self.why_empty:
+            return
+        self.flush_wanted.emit()
+        self.subject, self.why_empty, self._found = None, why, {}
+        self.subject_changed.emit(None)
+        self.listing_changed.emit()
 
     def attach(self, folder: Path) -> None:
         """Store in this result folder from now on, and read what is there.
@@ -274,7 +294,7 @@ class ReviewKeeping(ReviewView):
 
     def _leave(self) -> None:
         """Begin another review; what is pending is stored all the same."""
-        if self.folder is None and self._journal.pending:
+        if self.folder is None and self._journal.pending > self.given_up:
             self.failed.emit(
                 f"{self._journal.pending} entries of the review were not stored, because the "
                 "result was never saved."
@@ -286,6 +306,7 @@ class ReviewKeeping(ReviewView):
             self._journal = self._new_journal()
             self._history.clear()
         self._asked_for_folder = False
+        self.given_up = 0
         self._book = Book()
         self._version = 0
         self.module_data = ModuleData()
@@ -297,4 +318,5 @@ class ReviewKeeping(ReviewView):
 def _same_module(a: Subject | None, b: Subject | None) -> bool:
     if a is None or b is None or a.inspection is None or b.inspection is None:
         return False
-    return a.inspection.sequence is b.inspection.sequence
+    same_layout = a.tiles.grid.layout == b.tiles.grid.layout
+    return same_layout and a.inspection.sequence is b.inspection.sequence

@@ -44,7 +44,7 @@ class ReviewModel(ReviewKeeping):
 
     def withdraw(self, cell: Cell) -> None:
         """Take a verdict back: the cell is not judged any more; its note waits again."""
-        if self.verdict(cell) is not None:
+        if self.subject is not None and self.verdict(cell) is not None:
             self._say(cell, None, self.note(cell), "Withdraw a verdict")
 
     def correct(self, cell: Cell, mask: Mask | None) -> None:

@@ -50,10 +50,11 @@ class Subject:
 
     @classmethod
     def of_inspection(cls, inspection: Inspection) -> Subject | None:
-        """Take the cells of an inspection; None if it has none yet."""
-        if inspection.tiles is None:
+        """Take the cells of an inspection; None if it has none of its layout yet."""
+        tiles = inspection.tiles
+        if tiles is None or tiles.grid.layout != inspection.layout:
             return None
-        return cls(inspection.tiles, inspection.cracks, inspection.settings, inspection)
+        return cls(tiles, inspection.cracks, inspection.settings, inspection)
 
     @classmethod
     def of_result(cls, result: Result) -> Subject:

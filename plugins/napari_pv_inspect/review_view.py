@@ -21,7 +21,9 @@ from pv_inspect.review import (
     progress,
 )
 
-__all__ = ["EVERY", "ReviewView"]
+__all__ = ["EVERY", "NO_CELLS", "ReviewView"]
+
+NO_CELLS = "There are no cells yet: run the inspection first."
 
 EVERY: tuple[VerdictKind | None, ...] = (None, *VerdictKind)
 """Filter that leaves nothing out; None stands for cells without a verdict."""
@@ -33,6 +35,9 @@ class ReviewView:
     Attributes
     ----------
     subject : Subject or None
+        What is shown and can be judged.
+    why_empty : str
+        One sentence for when there is no subject.
     rater : str
     order : Order
     kinds : tuple of VerdictKind or None
@@ -53,6 +58,7 @@ class ReviewView:
         self._found: dict[Cell, CellFeatures] = {}
         self._book = Book()
         self.subject: Subject | None = None
+        self.why_empty = NO_CELLS
         self.rater = rater
         self.order = Order.POSITION
         self.kinds = EVERY

@@ -18,9 +18,16 @@ from pv_inspect.review import Cell, VerdictKind
 
 __all__ = ["Reviewer"]
 
+OTHER_LAYOUT = (
+    "The earlier cells had other rows or columns, and their verdicts stay with that result: press "
+    "Run for the cells of the new grid."
+)
+OTHER_GRID = "The grid was changed since the cells were cut: press Run for new ones."
 COLLECT_MS = 40
 REMEMBER_MS = 1500
 PATIENCE_S = 5.0
+# For one more attempt, where storing is known to fail.
+LITTLE_PATIENCE_S = 0.3
 
 
 class Reviewer(QObject):
@@ -65,7 +72,10 @@ class Reviewer(QObject):
     def judge(self, kind: VerdictKind) -> None:
         """Give the selected cell a verdict, and go to the next one."""
         cell = self._model.selected_cell
-        if cell is None or self.state.subject is None:
+        if self.state.subject is None:
+            self._model.notice(self.state.why_empty)
+            return
+        if cell is None:
             self._model.notice("No cell is selected: click one in the gallery first.")
             return
         self.state.give(cell, kind)
@@ -115,15 +125,18 @@ class Reviewer(QObject):
         if self.state.folder is not None or not self.state.pending:
             return True
         self._try_again(window)
+        self.state.given_up = self.state.pending if self._close_anyway else 0
         return self._close_anyway
 
     def may_close(self, window: QWidget | None) -> bool:
         """Wait until everything is stored; if that can't be, the user decides."""
         self._remembering.stop()
         self.state.flush_wanted.emit()
-        while self.state.pending and not self.state.wait(PATIENCE_S):
+        patience_s = LITTLE_PATIENCE_S if self.state.is_failing else PATIENCE_S
+        while self.state.pending and not self.state.wait(patience_s):
             if not self._try_again(window):
                 break
+            patience_s = PATIENCE_S
         return not self.state.pending or self._close_anyway
 
     def close(self) -> None:
@@ -150,11 +163,12 @@ class Reviewer(QObject):
         self._close_anyway = answer == buttons.Discard
         return answer == buttons.Retry
 
-    def _on_inspection(self, inspection: Inspection | None) -> None:
+    def _on_inspection(self, _: Inspection | None) -> None:
         shown = self._model.shown
-        if inspection is not None and (shown is None or shown.tiles is None):
-            return  # while a run works on new cells the old ones stay
         subject = None if shown is None else Subject.of_inspection(shown)
+        if shown is not None and subject is None:
+            self._empty(shown)
+            return
         result = self._model.result
         if subject is None and result is not None:
             return
@@ -163,14 +177,29 @@ class Reviewer(QObject):
         restored = cracks and result and cracks.probability is result.cracks
         self._show(subject, result.folder.resolve() if result and restored else None)
 
+    def _empty(self, shown: Inspection) -> None:
+        """Show no cells of an earlier grid."""
+        before = self.state.reviewed
+        if before is None:
+            return
+        if before.tiles.grid.layout != shown.layout:
+            self.state.empty(OTHER_LAYOUT)
+        elif self._model.run_state is RunState.IDLE:
+            self.state.empty(OTHER_GRID)
+        # else the old cells stay while a run works on new ones
+
     def _on_result(self, result: Result) -> None:
         self._show(Subject.of_result(result), result.folder.resolve())
 
     def _show(self, subject: Subject | None, folder: Path | None) -> None:
-        shown = self.state.subject
-        if (subject is None and shown is None) or (subject and subject.shows_the_same(shown)):
+        state = self.state
+        if subject is None and state.reviewed is None:
             return
-        self.state.show(subject, folder)
+        if subject is not None and subject.shows_the_same(state.subject):
+            return
+        state.show(subject, folder)
+        if subject is not None and self._model.selected_cell not in (None, *subject.places):
+            self._model.select_cell(None)
         if subject is None:
             self._collecting.stop()
         else:

@@ -16,6 +16,7 @@ from qtpy.QtWidgets import QDockWidget, QLabel, QVBoxLayout, QWidget
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.docks.cell_bar import CellBar
 from napari_pv_inspect.docks.gallery_list import cell_text
+from napari_pv_inspect.docks.hand import Dress
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.panel_grid import PanelGrid
 from napari_pv_inspect.docks.panels import Outlines, PaintPanel, Panel, SharedView
@@ -53,6 +54,7 @@ class CellDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
+        self._dress = Dress(self, self._bench.viewer)
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
         self._found: tuple[object, Outlines] = (None, [])
@@ -116,6 +118,10 @@ class CellDock(QWidget):
     def _cell(self) -> Cell | None:
         cell, subject = self._bench.model.selected_cell, self._review.subject
         return cell if subject is not None and cell in subject.places else None
+
+    @property
+    def _why_none(self) -> str:
+        return "No cell is selected." if self._review.subject else self._review.why_empty
 
     def _bind_keys(self) -> None:
         bind_review_keys(self._bench, self, "Cell view")
@@ -189,8 +195,9 @@ class CellDock(QWidget):
     def _show_pictures(self) -> None:
         subject, cell = self._review.subject, self._cell
         if subject is None or cell is None:
+            self.frame_panel.title = "Best frame"
             for panel in self.panels:
-                panel.show_picture(None, "No cell is selected.")
+                panel.show_picture(None, self._why_none)
             return
         self.cell_panel.show_picture(self._grey(subject.tiles.images[cell]))
         support = subject.tiles.support
@@ -236,7 +243,7 @@ class CellDock(QWidget):
     def _caption(self) -> None:
         cell = self._cell
         if cell is None:
-            self.caption.setText("No cell is selected.")
+            self.caption.setText(self._why_none)
             return
         text = cell_text(self._review, cell)
         self.caption.setText("  |  ".join(text.splitlines()))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from napari.components import ViewerModel
 from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, QTimer, Signal
-from qtpy.QtGui import QFocusEvent, QKeyEvent, QResizeEvent
+from qtpy.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QResizeEvent
 from qtpy.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QHBoxLayout,
     QLabel,
     QListView,
     QSlider,
@@ -16,7 +15,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_pv_inspect.docks.folding_bar import FoldingBar
 from napari_pv_inspect.docks.gallery_list import GAP, CellList, TileDelegate, cell_text
+from napari_pv_inspect.docks.hand import Dress
 from napari_pv_inspect.docks.large_cell import large_cell, open_cell
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.review_keys import bind_review_keys
@@ -29,6 +30,7 @@ from pv_inspect.review import Cell, Order, VerdictKind
 
 __all__ = ["BY_CRACKS", "BY_POSITION", "CellsDock"]
 
+PLACE = "Row / column of the cell, from the top left."
 BY_POSITION, BY_CRACKS, BY_VERDICT = "by position", "by crack score", "by verdict"
 DISPUTED = "raters differ"
 ORDERS = {
@@ -60,6 +62,7 @@ class CellsDock(QWidget):
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
         self._bench.has_gallery = True
+        self._dress = Dress(self, self._bench.viewer)
         self.cells = CellList(self._review)
         self._delegate = TileDelegate(self._review, self.cells)
         self._sizing = QTimer(self)
@@ -89,23 +92,19 @@ class CellsDock(QWidget):
             "A click or an arrow key shows the cell large, in place of frames and module image; "
             "else the view moves there."
         )
-        self.caption = QLabel("Row / column of the cell, from the top left.")
+        self.caption = QLabel(PLACE)
         self.caption.setWordWrap(True)
-        bar = QHBoxLayout()
-        for name, control in (
-            ("Order", self.order),
-            ("Show", self.filter),
-            ("Cracks", self.opacity),
-            ("from", self.threshold),
-            ("Size", self.zoom),
-        ):
-            bar.addWidget(QLabel(name))
-            bar.addWidget(control)
-        bar.addWidget(self.large)
-        bar.addStretch(1)
+        self.bar = FoldingBar(
+            (QLabel("Order"), self.order, QLabel("Show"), self.filter, self.large),
+            (
+                *(QLabel("Cracks"), self.opacity),
+                *(QLabel("from"), self.threshold),
+                *(QLabel("Size"), self.zoom),
+            ),
+        )
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
-        layout.addLayout(bar)
+        layout.addWidget(self.bar)
         layout.addWidget(self.view, 1)
         # Below, so that no tile moves under the mouse when it goes.
         layout.addWidget(self.caption)
@@ -161,15 +160,19 @@ class CellsDock(QWidget):
 
     def _on_subject(self, subject: Subject | None) -> None:
         self.cells.show_subject(self.devicePixelRatioF())
+        self.view.message = self._review.why_empty if subject is None else ""
+        self.view.viewport().update()
         self._fit()
+        # The height of the tiles may be another one.
+        self.view.setGridSize(self._delegate.tile())
         self._on_threshold_changed(self._review.threshold)
-        self._on_selected(self._model.selected_cell)
+        self._mark(self._model.selected_cell)
         if subject is not None:
             self.filled.emit()
 
     def _relist(self) -> None:
         if self.cells.relist():
-            self._on_selected(self._model.selected_cell)
+            self._mark(self._model.selected_cell)
         else:
             self._caption()
 
@@ -228,24 +231,29 @@ class CellsDock(QWidget):
         if width != self.cells.thumbnail.width():
             self.cells.resize(width)
             self.view.setGridSize(self._delegate.tile())
-            self._on_selected(self._model.selected_cell)
+            self._mark(self._model.selected_cell)
 
     def _on_selected(self, cell: Cell | None) -> None:
+        self._mark(cell)
+        if cell is not None:
+            self._bench.navigator.to_cell(*cell)
+
+    def _mark(self, cell: Cell | None) -> None:
+        """Mark the selected cell; the camera stays where the user looks."""
         index = self.cells.index_of(cell)
         self.view.elsewhere = cell is not None and not index.isValid()
         if index != self.view.currentIndex():
             with QSignalBlocker(self.view.selectionModel()):
                 self.view.setCurrentIndex(index)
             self.view.viewport().update()
-        if cell is not None:
-            if index.isValid():
-                self.view.scrollTo(index)
-            self._bench.navigator.to_cell(*cell)
+        if index.isValid():
+            self.view.scrollTo(index)
         self._caption()
 
     def _caption(self) -> None:
         cell = self._model.selected_cell
         if cell is None or self._review.subject is None:
+            self.caption.setText(PLACE)
             return
         self.caption.setText("  |  ".join(cell_text(self._review, cell).splitlines()))
 
@@ -254,9 +262,15 @@ class _Gallery(QListView):
     """A list that selects nothing by getting the focus while the selected cell is not listed.
 
     Qt takes the first one: the next verdict would be about that.
+
+    Attributes
+    ----------
+    message : str
+        Painted when there are no cells.
     """
 
     elsewhere = False
+    message = ""
     walked = Signal()
     resized = Signal()
 
@@ -271,6 +285,17 @@ class _Gallery(QListView):
         """Tell it."""
         super().resizeEvent(event)
         self.resized.emit()
+
+    def paintEvent(self, event: QPaintEvent) -> None:  # noqa: N802 (Qt's name)
+        """Paint the cells, or why there are none."""
+        super().paintEvent(event)
+        if not self.message:
+            return
+        painter = QPainter(self.viewport())
+        painter.setPen(self.palette().color(self.foregroundRole()))
+        flags = int(Qt.AlignmentFlag.AlignCenter) | int(Qt.TextFlag.TextWordWrap)
+        painter.drawText(self.viewport().rect().adjusted(12, 12, -12, -12), flags, self.message)
+        painter.end()
 
     def focusInEvent(self, event: QFocusEvent) -> None:  # noqa: N802 (Qt's name)
         """Show that keys go here."""
@@ -303,10 +328,7 @@ def _view(cells: CellList, delegate: TileDelegate) -> _Gallery:
 def _combo(entries: dict[str, object], tip: str) -> QComboBox:
     combo = QComboBox()
     combo.addItems(list(entries))
-    # As narrow as it has to be beside the live cell.
-    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-    combo.setMinimumContentsLength(9)
-    combo.setMinimumWidth(82)
+    combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
     combo.setToolTip(tip)
     return combo
 
@@ -315,7 +337,6 @@ def _slider(percent: int, tip: str) -> QSlider:
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, 100)
     slider.setValue(percent)
-    slider.setMinimumWidth(30)
-    slider.setMaximumWidth(90)
+    slider.setFixedWidth(90)
     slider.setToolTip(tip)
     return slider

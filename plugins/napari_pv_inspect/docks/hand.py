@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from napari.components import ViewerModel
 from napari.utils.theme import get_theme
 from qtpy.QtCore import QEvent, QObject, Qt
 from qtpy.QtWidgets import (
@@ -20,7 +21,7 @@ from napari_pv_inspect.appearance import (
     PRIMARY_HOVER_COLOUR,
 )
 
-__all__ = ["CalmWheel", "finish_typing", "set_primary", "style"]
+__all__ = ["CalmWheel", "Dress", "finish_typing", "set_primary", "style"]
 
 # A border takes its pixel from the padding: nothing moves when the focus comes.
 _STYLE = """
@@ -47,6 +48,19 @@ def style(theme: str) -> str:
     focus = FOCUS_ON_DARK if red + green + blue < 384 else FOCUS_ON_LIGHT
     text = _STYLE.replace("FOCUS", focus).replace("PRIMARY", PRIMARY_COLOUR)
     return text.replace("HOVER", PRIMARY_HOVER_COLOUR)
+
+
+class Dress(QObject):
+    """Keeps a dock of ours in its style, whichever theme napari has."""
+
+    def __init__(self, dock: QWidget, viewer: ViewerModel) -> None:
+        super().__init__(dock)
+        self._dock, self._viewer = dock, viewer
+        self._on_theme()
+        viewer.events.theme.connect(self._on_theme)
+
+    def _on_theme(self, _: object = None) -> None:
+        self._dock.setStyleSheet(style(self._viewer.theme))
 
 
 def set_primary(button: QPushButton, primary: bool) -> None:

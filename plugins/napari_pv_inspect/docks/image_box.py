@@ -26,6 +26,7 @@ from pv_inspect.settings import Settings
 
 __all__ = ["ImageBox"]
 
+NEEDS_A_RUN = "Run once: the curve comes with the module image."
 LAMBDA_RANGE = (1e-4, 10.0)
 SIGMA_RANGE = (0.1, 3.0)
 PRIORS = {
@@ -97,6 +98,7 @@ class ImageBox(QGroupBox):
         self.show_live.clicked.connect(self.live_wanted)
         listen(model.settings_changed, self._on_settings)
         listen(model.inspection_changed, self._on_inspection)
+        listen(model.result_opened, self._on_inspection)
         self._on_inspection()
 
     def _arrange(self) -> None:
@@ -174,7 +176,7 @@ class ImageBox(QGroupBox):
     def _show_curve(self, settings: Settings) -> None:
         inspection, made = self._model.inspection, self._made
         if inspection is None or made is None:
-            self.plot.show_curve((), None, "Run once: the curve comes with the module image.")
+            self.plot.show_curve((), None, self._model.frames_gone or NEEDS_A_RUN)
         elif inspection.settings.prior != settings.prior:
             self.plot.show_curve((), None, "Run again for the curve of this prior.")
         elif not made.lambda_curve:

@@ -25,7 +25,7 @@ from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.elided import ElidedLabel
 from napari_pv_inspect.docks.export_box import ExportBox
 from napari_pv_inspect.docks.frames_box import FramesBox
-from napari_pv_inspect.docks.hand import CalmWheel, finish_typing, style
+from napari_pv_inspect.docks.hand import CalmWheel, Dress, finish_typing
 from napari_pv_inspect.docks.image_box import ImageBox
 from napari_pv_inspect.docks.lens_box import LensBox
 from napari_pv_inspect.docks.listen import listen
@@ -114,8 +114,7 @@ class InspectDock(QWidget):
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.result)
-        self._on_theme()
-        bench.viewer.events.theme.connect(self._on_theme)
+        self._dress = Dress(self, bench.viewer)
         self._calm = CalmWheel(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
@@ -186,9 +185,6 @@ class InspectDock(QWidget):
         for label in (self.name, self.headline):
             label.setToolTip(tip)
 
-    def _on_theme(self, _: object = None) -> None:
-        self.setStyleSheet(style(self.bench.viewer.theme))
-
     def _on_deed(self, deed: Deed) -> None:
         """Do the next step; a run, and its end, have buttons of their own."""
         if deed is Deed.OPEN:
@@ -214,9 +210,9 @@ class InspectDock(QWidget):
 
     def _review(self) -> None:
         """Show the gallery, with a cell to begin with."""
-        model, shown = self.bench.model, self.bench.model.shown
-        if model.result is None and (shown is None or shown.tiles is None):
-            model.notice("There are no cells yet: run the inspection first.")
+        model, review = self.bench.model, self.bench.review.state
+        if review.subject is None:
+            model.notice(review.why_empty)
             return
         widget: QWidget | None = self.bench.viewer.window.dock_widgets.get("Cells")
         while widget is not None and not isinstance(widget, QDockWidget):

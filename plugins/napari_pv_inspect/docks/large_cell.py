@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.cell import GALLERY, CellDock, dock_of, focus_gallery
 from napari_pv_inspect.docks.listen import listen
+from napari_pv_inspect.model import RunState
 from napari_pv_inspect.review_subject import Subject
 from napari_pv_inspect.workbench import Workbench
 
@@ -52,6 +53,7 @@ class LargeCell(QWidget):
         self.view.back_wanted.connect(self.back)
         self.view.gallery_wanted.connect(self.toggle_gallery)
         listen(bench.review.state.subject_changed, self._on_subject)
+        listen(bench.model.run_changed, self._on_run)
         listen(bench.navigator.canvas_wanted, self._on_canvas_wanted)
         listen(bench.session.page_turned, self._on_page)
         listen(bench.closing, self._on_closing)
@@ -123,6 +125,11 @@ class LargeCell(QWidget):
         if subject is None:
             self.leave()
 
+    def _on_run(self, state: RunState) -> None:
+        # The image that grows is on the canvas.
+        if state is RunState.RUNNING:
+            self.leave()
+
     def _on_closing(self) -> None:
         # napari may store where the docks are.
         if self.is_open:
@@ -178,6 +185,10 @@ def open_cell(bench: Workbench, alone: bool = True) -> None:
     alone : bool
         Fold the gallery as well, and take the keyboard.
     """
+    review = bench.review.state
+    if review.subject is None:
+        bench.model.notice(review.why_empty)
+        return
     own = dock_of(bench.viewer.window.dock_widgets.get("Cell"))
     if own is not None and own.isVisible():  # a dock that the user has placed, perhaps elsewhere
         own.raise_()

@@ -21,6 +21,7 @@ from qtpy.QtWidgets import (
 
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.cell_renderer import CellPicture
+from napari_pv_inspect.docks.hand import Dress
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.side_box import SideBox
 from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
@@ -29,6 +30,7 @@ from napari_pv_inspect.live_cell import Source
 from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
+from pv_inspect.results import Result
 
 __all__ = ["LiveDock"]
 
@@ -41,6 +43,7 @@ class LiveDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self.bench = bench = Workbench.of(napari_viewer)
+        self._dress = Dress(self, bench.viewer)
         self._live = bench.live_cell
         self._picture: CellPicture | None = None
         self._limits: tuple[float, float] | None = None
@@ -93,6 +96,7 @@ class LiveDock(QWidget):
         self._live.reference_ready.connect(self._on_change)
         self._live.failed.connect(self._on_failure)
         listen(bench.model.inspection_changed, self._on_inspection)
+        listen(bench.model.result_opened, self._on_inspection)
         listen(bench.model.cell_selected, self._on_cell)
         listen(bench.model.settings_changed, self._on_settings)
         listen(bench.tuning.changed, self._on_trials)
@@ -186,12 +190,12 @@ class LiveDock(QWidget):
     def _on_failure(self, text: str) -> None:
         self.caption.setText(text)
 
-    def _on_inspection(self, _: Inspection | None) -> None:
+    def _on_inspection(self, _: Inspection | Result | None) -> None:
         if self._live.cell is None:
             self._picture = None
             self.view.show_before(None, "")
             self.view.show_after(None, "")
-            self.view.show_message(NEED_A_RUN)
+            self.view.show_message(self.bench.model.frames_gone or NEED_A_RUN)
             self.caption.clear()
 
     def _note(self) -> str:

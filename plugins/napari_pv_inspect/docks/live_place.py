@@ -32,6 +32,7 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
         if live is not None:
             place.show()
             place.raise_()
+            _fit_view(bench)
             return live
     live = LiveDock(bench.viewer)
     place = window.add_dock_widget(live, name="Live cell", area="right")
@@ -43,8 +44,14 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
         QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
     # With two docks beside each other the full height is of more use than a wide gallery.
     window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
-    bench.fit_view()
+    _fit_view(bench)
     return live
+
+
+def _fit_view(bench: Workbench) -> None:
+    """Show all layers on the narrower canvas, unless a large cell stands in its place."""
+    if not bench.viewer.window._qt_window._qt_viewer.isHidden():
+        bench.fit_view()
 
 
 def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:

@@ -160,7 +160,7 @@ class ReviewBox(QGroupBox):
         done = state.progress
         self.bar.setRange(0, 1 if done is None else done.total)
         self.bar.setValue(0 if done is None else done.judged)
-        text = "Nothing to judge yet." if done is None else done.text
+        text = state.why_empty if done is None else done.text
         if state.pending:
             text += f"; {state.pending} not stored yet"
             if state.folder is None:

@@ -1,0 +1,217 @@
+"""Cells of an earlier grid are neither shown nor judged; they come back with what was said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pytestqt.qtbot import QtBot
+from qtpy.QtCore import QSettings
+from qtpy.QtWidgets import QMessageBox
+
+from napari_pv_inspect.docks.large_cell import large_cell
+from napari_pv_inspect.model import RunState
+from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.review_view import NO_CELLS
+from napari_pv_inspect.reviewer import OTHER_GRID, OTHER_LAYOUT
+from pv_inspect.cells import CellTiles
+from pv_inspect.pipeline import Inspection
+from pv_inspect.review import ReviewStore, VerdictKind
+
+OK = VerdictKind.OK
+
+
+@pytest.fixture(autouse=True)
+def settings_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = QSettings.Format.IniFormat
+    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+    discard = QMessageBox.StandardButton.Discard
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
+
+
+@pytest.fixture
+def judged(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
+    """Dock and gallery with a saved inspection of 3 x 4 cells, one of them judged and large."""
+    viewer, dock, cells = bench
+    viewer.window._qt_window.show()
+    show(dock, tiny_inspection)
+    dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
+    dock.bench.model.select_cell((2, 3))
+    dock.bench.review.goes_on = False
+    dock.bench.review.judge(OK)
+    stored(dock, qtbot)
+    cells.open_cell()
+    assert large_cell(dock.bench).is_open
+    return dock, cells
+
+
+def show(dock: Any, inspection: Inspection | None) -> None:
+    model = dock.bench.model
+    model.inspection = inspection
+    model.inspection_changed.emit(inspection)
+
+
+def stored(dock: Any, qtbot: QtBot) -> None:
+    state = dock.bench.review.state
+    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    state.collect()
+
+
+def detected(whole: Inspection, cols: int | None = None) -> Inspection:
+    """Return what *Detect grid* leaves of it, with another number of columns."""
+    layout = whole.layout if cols is None else replace(whole.layout, cols=cols)
+    return Inspection(whole.sequence, whole.settings, layout, whole.crossings)
+
+
+def narrower(whole: Inspection) -> Inspection:
+    """Return a whole inspection of the left three columns."""
+    assert whole.reconstruction is not None
+    assert whole.tiles is not None
+    layout = replace(whole.layout, cols=3)
+    made = replace(whole.reconstruction, grid=replace(whole.reconstruction.grid, layout=layout))
+    tiles = CellTiles(whole.tiles.images[:, :3], made.grid)
+    return replace(whole, layout=layout, reconstruction=made, tiles=tiles, cracks=None)
+
+
+def is_empty(dock: Any, cells: Any, why: str) -> bool:
+    state = dock.bench.review.state
+    return (
+        state.subject is None
+        and cells.cells.rowCount() == 0
+        and cells.view.message == why
+        and why in dock.verdict.progress.text()
+        and not dock.verdict.buttons[OK].isEnabled()
+        and not dock.export.isEnabled()
+        and not large_cell(dock.bench).is_open
+    )
+
+
+def test_a_grid_of_another_layout_empties_the_review(
+    judged: Any, tiny_inspection: Inspection
+) -> None:
+    dock, cells = judged
+    show(dock, detected(tiny_inspection, cols=5))
+    assert is_empty(dock, cells, OTHER_LAYOUT)
+
+
+def test_what_is_not_shown_is_not_judged(
+    judged: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot
+) -> None:
+    dock, cells = judged
+    show(dock, detected(tiny_inspection, cols=5))
+    said: list[str] = []
+    dock.bench.model.noticed.connect(lambda text, _: said.append(text))
+    dock.bench.review.judge(VerdictKind.CRACK_A)
+    dock.bench.review.withdraw()
+    cells.open_cell()
+    assert said == [OTHER_LAYOUT, OTHER_LAYOUT]
+    assert not large_cell(dock.bench).is_open
+    stored(dock, qtbot)
+    assert [v.kind for v in ReviewStore(tmp_path / "out").current()] == [OK]
+
+
+def test_a_grid_that_was_changed_empties_the_review_until_the_cells_are_back(
+    judged: Any, tiny_inspection: Inspection, qtbot: QtBot
+) -> None:
+    dock, cells = judged
+    show(dock, detected(tiny_inspection))
+    assert is_empty(dock, cells, OTHER_GRID)
+    show(dock, tiny_inspection)
+    assert cells.cells.rowCount() == 12
+    assert cells.view.message == ""
+    state = dock.bench.review.state
+    assert state.verdict((2, 3)).kind is OK
+    dock.bench.review.judge(VerdictKind.CRACK_B)
+    stored(dock, qtbot)
+    assert [v.kind for v in ReviewStore(state.folder).current()] == [VerdictKind.CRACK_B]
+
+
+def test_what_was_never_saved_comes_back_with_its_cells(
+    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, _ = bench
+    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    show(dock, tiny_inspection)
+    state = dock.bench.review.state
+    state.give((0, 1), OK)
+    show(dock, detected(tiny_inspection, cols=5))
+    show(dock, tiny_inspection)
+    assert state.verdict((0, 1)).kind is OK
+    assert dock.bench.history.undo_text is not None
+
+
+def test_the_next_run_of_another_layout_begins_a_review_of_its_own(
+    judged: Any, tiny_inspection: Inspection, tmp_path: Path
+) -> None:
+    dock, cells = judged
+    show(dock, detected(tiny_inspection, cols=3))
+    show(dock, narrower(tiny_inspection))
+    state = dock.bench.review.state
+    assert cells.cells.rowCount() == 9
+    assert state.folder is None
+    assert state.verdict((2, 3)) is None
+    assert dock.bench.model.selected_cell is None, "it lies beyond the columns"
+    assert len(ReviewStore(tmp_path / "out").current()) == 1
+
+
+def test_cells_stay_while_a_run_of_the_same_layout_goes_on(
+    judged: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    dock, cells = judged
+    replayed.go_on = False
+    dock.bench.model.change_settings(prior_weight=0.5)
+    dock.run.run.click()
+    assert not large_cell(dock.bench).is_open, "the image grows on the canvas"
+    qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
+    assert dock.bench.model.shown.tiles is None
+    assert cells.cells.rowCount() == 12
+    replayed.go_on = True
+    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    assert cells.cells.rowCount() == 12
+
+
+def test_another_sequence_has_no_cells_yet(judged: Any, tiny_inspection: Inspection) -> None:
+    dock, cells = judged
+    show(dock, detected(tiny_inspection, cols=5))
+    dock.bench.model.open(tiny_inspection.sequence)
+    assert is_empty(dock, cells, NO_CELLS)
+    assert dock.bench.review.state.folder is None
+
+
+def test_tiles_of_another_layout_are_no_subject(tiny_inspection: Inspection) -> None:
+    other = replace(tiny_inspection.layout, rows=7)
+    assert Subject.of_inspection(replace(tiny_inspection, layout=other)) is None
+
+
+def test_what_the_user_discards_is_not_told_again(
+    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, _ = bench
+    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    show(dock, tiny_inspection)
+    said: list[str] = []
+    state = dock.bench.review.state
+    state.failed.connect(said.append)
+    state.give((0, 0), OK)
+    assert dock.bench.opener.may_leave()
+    dock.bench.model.open(tiny_inspection.sequence)
+    assert state.pending == 0
+    assert said == []
+
+
+def test_what_is_lost_unasked_is_told(
+    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, _ = bench
+    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    monkeypatch.setattr("napari_pv_inspect.workbench.show_error", lambda _: None)
+    show(dock, tiny_inspection)
+    said: list[str] = []
+    state = dock.bench.review.state
+    state.failed.connect(said.append)
+    state.give((0, 0), OK)
+    dock.bench.model.open(tiny_inspection.sequence)
+    assert len(said) == 1
