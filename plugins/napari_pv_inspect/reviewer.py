@@ -19,8 +19,8 @@ from pv_inspect.review import Cell, VerdictKind
 __all__ = ["Reviewer"]
 
 OTHER_LAYOUT = (
-    "The earlier cells had other rows or columns, and their verdicts stay with that result: press "
-    "Run for the cells of the new grid."
+    "The earlier cells had other rows or columns (saved verdicts stay in that result): press Run "
+    "for the cells of the new grid."
 )
 OTHER_GRID = "The grid was changed since the cells were cut: press Run for new ones."
 COLLECT_MS = 40

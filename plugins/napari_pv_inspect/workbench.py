@@ -101,6 +101,7 @@ class Workbench(QObject):
         window = getattr(viewer, "window", None)
         self._main_window = getattr(window, "_qt_window", None)
         self._refused = False
+        self._canvas_size = (0, 0)
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
@@ -180,10 +181,14 @@ class Workbench(QObject):
 
     def fit_view(self) -> None:
         """Show everything, once docks that come or go have settled."""
+        self._canvas_size = (0, 0)
         self._fit_timer.start()
 
     def _fit(self) -> None:
-        if not self.session.aim():
+        if self.viewer.canvas.size != self._canvas_size:
+            self._canvas_size = self.viewer.canvas.size
+            self._fit_timer.start()
+        elif not self.session.aim():
             self.navigator.fit()
 
     def _bring_back(self) -> None:

@@ -19,8 +19,12 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.application import build
+from napari_pv_inspect.docks.cell import CellDock
+from napari_pv_inspect.docks.cells import CellsDock
 from napari_pv_inspect.docks.elided import ElidedLabel
+from napari_pv_inspect.docks.hand import style
 from napari_pv_inspect.docks.inspect import WIDTH
+from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.model import RunState
 from pv_inspect.sequence import Sequence
 
@@ -213,3 +217,28 @@ def test_every_control_has_a_tooltip(bench: Any) -> None:
             if above is dock.pages.tabBar() or isinstance(above, QAbstractSpinBox | QComboBox):
                 continue
             assert control.toolTip() or above.toolTip(), control.objectName()
+
+
+def test_all_our_docks_show_the_focus_under_every_theme(bench: Any) -> None:
+    viewer, dock, cells = bench
+    docks = (dock, cells, CellDock(viewer), show_live_cell(dock.bench, dock))
+    for theme in ("light", "dark"):
+        viewer.theme = theme
+        assert [one.styleSheet() for one in docks] == [style(theme)] * 4
+    assert style("light") != style("dark")
+
+
+def test_the_bar_of_the_gallery_folds_beside_the_live_cell(
+    make_napari_viewer: Callable[..., Any], qtbot: QtBot
+) -> None:
+    cells = CellsDock(make_napari_viewer())
+    qtbot.addWidget(cells)
+    cells.resize(600, 260)
+    cells.show()
+    qtbot.waitUntil(lambda: cells.bar.width() > 500, timeout=5000)
+    assert cells.bar.is_folded
+    for control in (cells.order, cells.filter, cells.opacity, cells.threshold, cells.zoom):
+        assert control.width() >= control.minimumSizeHint().width()
+    assert cells.opacity.width() >= 80
+    cells.resize(1100, 260)
+    qtbot.waitUntil(lambda: not cells.bar.is_folded, timeout=5000)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -33,6 +34,7 @@ from napari_pv_inspect.model import RunState
 from pv_inspect.errors import InspectionError
 from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.pipeline import Inspection
+from pv_inspect.results import read_result, write_result
 from pv_inspect.settings import Settings
 
 LONG_MS = 30_000
@@ -343,6 +345,40 @@ def test_without_a_run_it_says_what_is_needed(bench: Bench) -> None:
     shown = show_live_cell(dock.bench, dock)
     assert "Run once first" in shown.view._message
     assert show_live_cell(dock.bench, dock) is shown
+
+
+def test_a_result_without_its_frames_says_where_they_were_looked_for(
+    bench: Bench, tiny_inspection: Inspection, tmp_path: Path
+) -> None:
+    _, dock, _ = bench
+    shown = show_live_cell(dock.bench, dock)
+    write_result(tiny_inspection, tmp_path / "out")
+    why = "The frames are no longer at /somewhere."
+    dock.bench.model.open_result(read_result(tmp_path / "out"), why)
+    assert shown.view._message == why
+    assert dock.image.plot._why == why
+    dock.bench.model.open(tiny_inspection.sequence)
+    assert "Run once first" in shown.view._message
+    assert "Run once" in dock.image.plot._why
+
+
+def test_the_view_is_fitted_once_the_canvas_has_its_size(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, qtbot: Any
+) -> None:
+    _, dock, _ = bench
+    workbench, fitted = dock.bench, []
+    qtbot.waitUntil(lambda: not workbench._fit_timer.isActive(), timeout=LONG_MS)
+    canvas = workbench.viewer.canvas
+    monkeypatch.setattr(workbench.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
+    for _ in range(2):  # when it is made, and when it comes back
+        show_live_cell(workbench, dock)
+        canvas.size = (300, 400)
+        workbench._fit()
+        canvas.size = (300, 280)
+        workbench._fit()
+        assert fitted == []
+        qtbot.waitUntil(lambda: bool(fitted), timeout=LONG_MS)
+        fitted.clear()
 
 
 def test_the_window_closes_while_the_live_cell_is_at_work(

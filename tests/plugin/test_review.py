@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from time import sleep
 from typing import Any
@@ -16,9 +17,11 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
 
 from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
-from napari_pv_inspect.docks.gallery_list import cell_text
+from napari_pv_inspect.docks.gallery_list import BAR, GAP, cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.frame_panels import best_frame, contours
+from napari_pv_inspect.review_journal import Journal
+from napari_pv_inspect.reviewer import LITTLE_PATIENCE_S
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
@@ -218,6 +221,69 @@ def test_if_nothing_can_be_stored_the_user_decides_about_closing(
     viewer.close()
     assert answers == []
     assert popups == ["Nothing more can be stored: the disk is full."]
+
+
+def test_a_failure_that_is_known_is_asked_about_at_once(
+    saved: Any, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer, dock, _ = saved
+    monkeypatch.setattr("napari_pv_inspect.workbench.show_error", lambda _: None)
+
+    def full(*_: object) -> None:
+        raise InspectionError("Nothing more can be stored: the disk is full.")
+
+    monkeypatch.setattr(ReviewStore, "give", full)
+    discard = QMessageBox.StandardButton.Discard
+    monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
+    state = dock.bench.review.state
+    state.give((0, 0), VerdictKind.OK)
+    qtbot.waitUntil(lambda: state.is_failing, timeout=5000)
+    patience: list[float] = []
+    wait = state.wait
+    monkeypatch.setattr(state, "wait", lambda s: patience.append(s) or wait(s))
+    viewer.close()
+    assert patience == [LITTLE_PATIENCE_S]
+
+
+def test_an_attempt_that_fails_ends_the_wait(tmp_path: Path) -> None:
+    def fails(_: ReviewStore) -> None:
+        raise InspectionError("The disk is full.")
+
+    journal = Journal(lambda _: None, lambda _: None, lambda _: None)
+    journal.attach(tmp_path, fails, lambda _: None)
+    assert not journal.wait(600)  # far beyond what a test may take
+    assert journal.pending == 1
+    journal.close(give_up=True)
+
+
+def test_tiles_of_half_cells_have_their_captions_close_below(
+    bench: Any, tiny_inspection: Inspection
+) -> None:
+    _, dock, cells = bench
+    show(dock, tiny_inspection)
+    tiles = tiny_inspection.tiles
+    half = replace(tiles, images=tiles.images[:, :, ::2], support=None)
+    width = cells.cells.thumbnail.width()
+    show(dock, replace(tiny_inspection, tiles=half, cracks=None))
+    assert cells.cells.thumbnail.width() == width
+    height = cells.view.gridSize().height()
+    assert height == cells.cells.thumbnail.height() + BAR + GAP
+    assert height < 0.6 * width + BAR + GAP
+
+
+def test_the_camera_stays_when_the_gallery_only_lists_again(
+    saved: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, cells = saved
+    dock.bench.model.select_cell((1, 1))
+    looked: list[tuple[int, int]] = []
+    monkeypatch.setattr(dock.bench.navigator, "to_cell", lambda *cell: looked.append(cell))
+    cells.zoom.setValue(120)
+    cells._fit()
+    cells.order.setCurrentText("by crack score")
+    assert looked == []
+    dock.bench.model.select_cell((0, 2))
+    assert looked == [(0, 2)]
 
 
 def test_verdicts_come_back_with_a_result_folder(

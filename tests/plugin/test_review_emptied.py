@@ -82,7 +82,7 @@ def is_empty(dock: Any, cells: Any, why: str) -> bool:
         state.subject is None
         and cells.cells.rowCount() == 0
         and cells.view.message == why
-        and why in dock.verdict.progress.text()
+        and dock.verdict.progress.toolTip() == why
         and not dock.verdict.buttons[OK].isEnabled()
         and not dock.export.isEnabled()
         and not large_cell(dock.bench).is_open
@@ -95,6 +95,21 @@ def test_a_grid_of_another_layout_empties_the_review(
     dock, cells = judged
     show(dock, detected(tiny_inspection, cols=5))
     assert is_empty(dock, cells, OTHER_LAYOUT)
+
+
+def test_the_camera_does_not_stay_where_a_cell_was(
+    judged: Any, tiny_inspection: Inspection
+) -> None:
+    dock, _ = judged
+    viewer, module = dock.bench.viewer, dock.bench.module
+    large_cell(dock.bench).leave()
+    dock.bench.navigator.to_cell(2, 3)
+    at_the_cell = viewer.scene.camera.zoom
+    show(dock, detected(tiny_inspection))
+    assert viewer.scene.camera.zoom == at_the_cell, "the module image is still there"
+    show(dock, detected(tiny_inspection, cols=5))
+    assert module.placement is None
+    assert viewer.scene.camera.zoom < at_the_cell
 
 
 def test_what_is_not_shown_is_not_judged(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from qtpy.QtCore import QSignalBlocker, Qt, Signal
-from qtpy.QtWidgets import QCheckBox, QHBoxLayout, QLabel, QPushButton, QSlider, QSpinBox, QWidget
+from qtpy.QtWidgets import QCheckBox, QLabel, QPushButton, QSlider, QSpinBox, QVBoxLayout, QWidget
 from superqt import QRangeSlider
+
+from napari_pv_inspect.docks.folding_bar import FoldingBar
 
 __all__ = ["CellBar"]
 
@@ -52,24 +54,15 @@ class CellBar(QWidget):
         self.reset.setToolTip("Go back to the marks that the detector found.")
         for button in (self.back, self.gallery):  # a dock has its own ways
             button.hide()
-        layout = QHBoxLayout(self)
+        layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        for widget in (
-            self.back,
-            self.gallery,
-            QLabel("Contrast"),
-            self.contrast_slider,
-            QLabel("Marks"),
-            self.opacity_slider,
-            self.drawing,
-            self.eraser,
-            self.brush,
-            self.reset,
-        ):
-            layout.addWidget(widget)
-            if isinstance(widget, QLabel):
-                widget.setMinimumWidth(1)
-        layout.addStretch(1)
+        shown = (QLabel("Contrast"), self.contrast_slider, QLabel("Marks"), self.opacity_slider)
+        layout.addWidget(
+            FoldingBar(
+                (self.back, self.gallery, *shown),
+                (self.drawing, self.eraser, self.brush, self.reset),
+            )
+        )
         for signal in (
             self.contrast_slider.valueChanged,
             self.opacity_slider.valueChanged,

@@ -160,7 +160,7 @@ class ReviewBox(QGroupBox):
         done = state.progress
         self.bar.setRange(0, 1 if done is None else done.total)
         self.bar.setValue(0 if done is None else done.judged)
-        text = state.why_empty if done is None else done.text
+        text = "Nothing to judge yet." if done is None else done.text
         if state.pending:
             text += f"; {state.pending} not stored yet"
             if state.folder is None:
@@ -169,7 +169,9 @@ class ReviewBox(QGroupBox):
                 text += ", tried again every 2 s"
         if text != self.progress.text():
             self.progress.setText(text)
-        if done is not None:
+        if done is None:
+            self.progress.setToolTip(state.why_empty)
+        else:
             counts = (f"{kind.label}: {n}" for kind, n in done.counts.items() if n)
             self.progress.setToolTip("\n".join(counts) or "Cells that you have judged.")
 

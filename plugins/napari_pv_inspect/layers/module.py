@@ -110,6 +110,8 @@ class ModuleLayers:
             if self.grid is not None and self.grid.layout != inspection.layout:
                 # The image of other rows and columns is none of this module.
                 self._clear()
+                # The camera may look at where a cell was.
+                self._viewer.reset_view()
             return
         if made is not self._shown:
             self._put_image(made.image, made.grid)
