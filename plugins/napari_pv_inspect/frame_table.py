@@ -103,7 +103,7 @@ def _numbers(inspection: Inspection | None, i: int) -> tuple[float, float, float
 
 def _fate(used: bool | None, told: str, wanted: bool) -> str:
     if used is None:
-        return "" if wanted else "left out from the next run on"
+        return "" if wanted else "to be left out"
     if used:
-        return "used" if wanted else "used; left out from the next run on"
+        return "used" if wanted else "to be left out"
     return f"{told}; the next run tries it" if wanted else told

@@ -50,6 +50,7 @@ class TrialKeeper(QObject):
 
     def attach(self, folder: Path) -> None:
         """Keep the trials beside a result that was just saved; those so far go with it."""
+        self._write()  # what is due belongs to the folder before as well
         self.folder, self._kept, self._complained = folder, (), False
         self._on_trials()
 

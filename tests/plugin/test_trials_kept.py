@@ -100,6 +100,22 @@ def test_trials_are_written_soon_after_a_change(
     qtbot.waitUntil(lambda: len(read_trials(folder)) == 1, timeout=5000)
 
 
+def test_saving_elsewhere_leaves_the_newest_trial_in_the_folder_before_as_well(
+    new_bench: Callable[[], Bench],
+    folder: Path,
+    tiny_inspection: Inspection,
+    tmp_path: Path,
+) -> None:
+    write_result(tiny_inspection, tmp_path / "elsewhere")
+    bench = new_bench()
+    bench.reopen(folder)
+    bench.try_(1.0)
+    bench.keeper.attach(tmp_path / "elsewhere")
+    bench.keeper.close()
+    for place in (folder, tmp_path / "elsewhere"):
+        assert [trial.settings.prior_weight for trial in read_trials(place)] == [1.0]
+
+
 def test_trials_made_before_the_first_save_go_with_it(
     new_bench: Callable[[], Bench], folder: Path
 ) -> None:
