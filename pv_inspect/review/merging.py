@@ -51,11 +51,21 @@ class Contents:
 
 
 def contents(connection: sqlite3.Connection) -> Contents:
-    """Read all that a database holds; inside of a transaction."""
-    lines = connection.execute(f"SELECT id, {', '.join(_COLUMNS)} FROM history ORDER BY id")
+    """Read all that a database holds; inside of a transaction.
+
+    Lines of a damaged history that refer to something missing are left out.
+    """
+    masks = dict(connection.execute("SELECT id, png FROM masks").fetchall())
+    lines: dict[int, _Line] = {}
+    query = f"SELECT id, {', '.join(_COLUMNS)} FROM history ORDER BY id"
+    for number, *values in connection.execute(query):
+        if (values[_MASK] is None or values[_MASK] in masks) and (
+            values[_EDIT] is None or values[_EDIT] in lines
+        ):
+            lines[int(number)] = tuple(values)
     return Contents(
-        tuple((int(number), tuple(line)) for number, *line in lines),
-        dict(connection.execute("SELECT id, png FROM masks").fetchall()),
+        tuple(lines.items()),
+        masks,
         tuple(connection.execute("SELECT stored, data FROM module_data ORDER BY id")),
         tuple(connection.execute('SELECT rater, stored, "row", col FROM state')),
     )

@@ -565,3 +565,24 @@ def test_what_was_taken_back_in_the_other_folder_does_not_keep_a_verdict_out(
                 (0, 1): VerdictKind.OK,
             }
         assert len(target.history()) == 4
+
+
+def test_lines_of_a_damaged_history_that_lead_nowhere_are_not_taken_over(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    with ReviewStore(tmp_path / "a") as source, ReviewStore(tmp_path / "b") as target:
+        source.give(verdict(0, 0, VerdictKind.OK))
+        source.correct((0, 1), "Ann", np.eye(20, 30, dtype=bool))
+        source.give(verdict(1, 0, VerdictKind.CRACK_A))
+        source.undo("Ann")
+        damaged = sqlite3.connect(tmp_path / "a" / REVIEW_FILE)
+        with damaged:
+            triggers = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
+            for (name,) in damaged.execute(triggers).fetchall():
+                damaged.execute(f"DROP TRIGGER {name}")
+            damaged.execute("DELETE FROM masks")
+            damaged.execute("DELETE FROM history WHERE \"row\" = 1 AND action = 'edit'")
+        damaged.close()
+        assert target.merge(source.contents()) == ()
+        assert {v.cell: v.kind for v in target.current()} == {(0, 0): VerdictKind.OK}
+        assert target.masks() == {}
