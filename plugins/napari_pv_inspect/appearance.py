@@ -62,8 +62,8 @@ PRIMARY_COLOUR, PRIMARY_HOVER_COLOUR = "#0072B2", "#1A86C4"
 """Of the button for what comes next, behind white letters."""
 FOCUS_ON_DARK, FOCUS_ON_LIGHT = "#F0E442", "#1A1A1A"
 """Of the border around what the keyboard acts on."""
-CORRECTED_RGB = (0.8, 0.475, 0.655)
-"""Of marks that a person has drawn: the colour of edited things."""
+CORRECTED_RGB = (0.0, 0.447, 0.698)
+"""Of marks that a person has drawn: stands out from grey and from orange with any colour vision."""
 
 
 def crack_colormap() -> dict[str, Any]:

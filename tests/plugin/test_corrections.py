@@ -95,7 +95,7 @@ def test_the_gallery_paints_corrected_marks_in_another_colour(bench: Any, shown:
         xs, ys = range(picture.width()), range(picture.height())
         pixels = [picture.pixelColor(x, y) for x in xs for y in ys]
         return {
-            "purple" if c.blue() > c.green() else "orange"
+            "blue" if c.blue() > c.green() else "orange"
             for c in pixels
             if max(c.red(), c.green(), c.blue()) - min(c.red(), c.green(), c.blue()) > 40
         }
@@ -103,6 +103,6 @@ def test_the_gallery_paints_corrected_marks_in_another_colour(bench: Any, shown:
     cells.opacity.setValue(100)
     mask[5:9] = True
     state.correct(CELL, mask)
-    assert colours() == {"purple"}
+    assert colours() == {"blue"}
     state.correct(CELL, None)
-    assert "purple" not in colours()
+    assert "blue" not in colours()

@@ -64,7 +64,7 @@ class CellDock(QWidget):
         self.shared = SharedView()
         move = (
             "Wheel: zoom; drag: move; double click: the whole cell; click, or its number: large. "
-            "All four move together. Orange: marks of the detector; purple: corrected by you, and "
+            "All four move together. Orange: marks of the detector; blue: corrected by you, and "
             "dashed what the detector found there."
         )
         self.cell_panel = PaintPanel("Module image", move, self.shared)

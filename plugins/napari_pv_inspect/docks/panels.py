@@ -216,11 +216,14 @@ class Panel(QWidget):
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setOpacity(self._outline_opacity)
-        for outlines, rgb, width, style in (
-            (self._faint, CRACK_RGB, 1.0, Qt.PenStyle.DashLine),
-            (self._outlines, self._rgb, 1.5, Qt.PenStyle.SolidLine),
+        solid = Qt.PenStyle.SolidLine
+        for outlines, colour, width, style in (
+            (self._faint, QColor.fromRgbF(*CRACK_RGB), 1.0, Qt.PenStyle.DashLine),
+            # Dark backgrounds too let the line be seen.
+            (self._outlines, QColor(255, 255, 255, 110), 3.5, solid),
+            (self._outlines, QColor.fromRgbF(*self._rgb), 1.5, solid),
         ):
-            pen = QPen(QColor.fromRgbF(*rgb), width, style)
+            pen = QPen(colour, width, style)
             pen.setCosmetic(True)
             painter.setPen(pen)
             for outline in outlines:
