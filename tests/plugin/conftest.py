@@ -11,17 +11,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pytestqt.qtbot import QtBot
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
 
-from napari_pv_inspect.application import build  # noqa: E402 (Qt reads the platform on import)
+from qtpy.QtCore import QSettings  # noqa: E402 (Qt reads the platform on import)
+
+from napari_pv_inspect.application import build  # noqa: E402
 from napari_pv_inspect.docks.cells import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end  # noqa: E402
 from pv_inspect.sequence import Sequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
+from tests.plugin.reviewing import show, stored  # noqa: E402
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -45,6 +49,13 @@ def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "get_gl_extensions", lambda: "")
     for module in (gl, image, labels, canvas):
         monkeypatch.setattr(module, "get_max_texture_sizes", lambda: (16384, 2048))
+
+
+@pytest.fixture(autouse=True)
+def own_settings(tmp_path: Path) -> None:
+    """Keep what the workbench remembers out of the user's folder."""
+    kind = QSettings.Format.IniFormat
+    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
 
 
 @pytest.fixture(scope="session")
@@ -92,6 +103,19 @@ def bench(
     dock, cells = build(viewer)
     dock.bench.model.open(tiny_sequence)
     dock.bench.model.change_settings(magnification=2.0, max_iterations=5)
+    return viewer, dock, cells
+
+
+@pytest.fixture
+def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
+    """Viewer, dock and gallery in a shown window; a whole inspection is saved in ``out``."""
+    viewer, dock, cells = bench
+    show(dock, tiny_inspection)
+    dock.save(tmp_path / "out")
+    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
+    stored(dock, qtbot)
+    viewer.window._qt_window.resize(1280, 800)
+    viewer.window._qt_window.show()
     return viewer, dock, cells
 
 

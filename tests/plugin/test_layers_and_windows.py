@@ -8,19 +8,12 @@ from typing import Any
 
 import pytest
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.model import RunState
 from pv_inspect.review import ReviewStore, VerdictKind
 
 LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support", "Cracks")
-
-
-@pytest.fixture(autouse=True)
-def settings_of_its_own(tmp_path: Path) -> None:
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
 
 
 def idle(dock: Any, qtbot: QtBot) -> None:

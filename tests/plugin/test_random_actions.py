@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from qtpy.QtCore import QSettings
 from qtpy.QtWidgets import QFileDialog, QMessageBox
 
 from tests.plugin.monkey import Monkey
@@ -29,8 +28,6 @@ def test_any_actions_in_any_order_break_nothing_and_lose_no_verdict(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
     errors: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", errors.append)
     monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Discard)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QPoint, QPointF, QSettings, Qt
+from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtGui import QWheelEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
@@ -27,39 +27,10 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import read_result, write_result
 from pv_inspect.review import ReviewStore, Verdict, VerdictKind
+from tests.plugin.reviewing import show, stored
 
 LEFT, RIGHT = Qt.MouseButton.LeftButton, Qt.MouseButton.RightButton
 NONE = Qt.KeyboardModifier.NoModifier
-
-
-@pytest.fixture(autouse=True)
-def settings_of_its_own(tmp_path: Path) -> None:
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
-
-
-@pytest.fixture
-def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
-    """Viewer, dock and gallery with a whole inspection that is saved."""
-    viewer, dock, cells = bench
-    show(dock, tiny_inspection)
-    dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
-    stored(dock, qtbot)
-    viewer.window._qt_window.show()
-    return viewer, dock, cells
-
-
-def show(dock: Any, inspection: Inspection) -> None:
-    model = dock.bench.model
-    model.inspection = inspection
-    model.inspection_changed.emit(inspection)
-
-
-def stored(dock: Any, qtbot: QtBot) -> None:
-    state = dock.bench.review.state
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
-    state.collect()
 
 
 def press(widget: Any, key: Any, qtbot: QtBot) -> None:

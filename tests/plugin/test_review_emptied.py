@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QSettings
 from qtpy.QtWidgets import QMessageBox
 
 from napari_pv_inspect.docks.large_cell import large_cell
@@ -19,14 +18,13 @@ from napari_pv_inspect.reviewer import OTHER_GRID, OTHER_LAYOUT
 from pv_inspect.cells import CellTiles
 from pv_inspect.pipeline import Inspection
 from pv_inspect.review import ReviewStore, VerdictKind
+from tests.plugin.reviewing import show, stored
 
 OK = VerdictKind.OK
 
 
 @pytest.fixture(autouse=True)
-def settings_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+def questions_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     discard = QMessageBox.StandardButton.Discard
     monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
 
@@ -46,18 +44,6 @@ def judged(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot
     cells.open_cell()
     assert large_cell(dock.bench).is_open
     return dock, cells
-
-
-def show(dock: Any, inspection: Inspection | None) -> None:
-    model = dock.bench.model
-    model.inspection = inspection
-    model.inspection_changed.emit(inspection)
-
-
-def stored(dock: Any, qtbot: QtBot) -> None:
-    state = dock.bench.review.state
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
-    state.collect()
 
 
 def detected(whole: Inspection, cols: int | None = None) -> Inspection:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QSettings, Qt
+from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
 
@@ -38,27 +38,6 @@ with ReviewStore(Path(sys.argv[1])) as store:
         seen = ",".join(f"{v.rater}:{v.row}:{v.col}:{v.kind.value}" for v in store.current())
         print(seen, flush=True)
 """
-
-
-@pytest.fixture(autouse=True)
-def settings_of_its_own(tmp_path: Path) -> None:
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
-
-
-@pytest.fixture
-def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
-    """Viewer, dock and gallery with a whole inspection that is saved in ``out``."""
-    viewer, dock, cells = bench
-    model = dock.bench.model
-    model.inspection = tiny_inspection
-    model.inspection_changed.emit(tiny_inspection)
-    dock.save(tmp_path / "out")
-    state = dock.bench.review.state
-    qtbot.waitUntil(lambda: state.folder is not None and not state.pending, timeout=10_000)
-    viewer.window._qt_window.resize(1280, 800)
-    viewer.window._qt_window.show()
-    return viewer, dock, cells
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
 
@@ -21,8 +20,6 @@ def test_an_expert_walks_through_all_six_steps_by_mouse_and_keyboard(
 ) -> None:
     if not CHECKOUT_SAMPLE.is_dir():
         pytest.skip("sample_data/ is not in this checkout")
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
     monkeypatch.syspath_prepend(str(DOCS))
     from tour import walk
 

@@ -1,0 +1,23 @@
+"""What the tests of the review share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pytestqt.qtbot import QtBot
+
+from pv_inspect.pipeline import Inspection
+
+
+def show(dock: Any, inspection: Inspection | None) -> None:
+    """Put an inspection on the bench as if a run had brought it."""
+    model = dock.bench.model
+    model.inspection = inspection
+    model.inspection_changed.emit(inspection)
+
+
+def stored(dock: Any, qtbot: QtBot) -> None:
+    """Wait until all that was said is on disk."""
+    state = dock.bench.review.state
+    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    state.collect()
