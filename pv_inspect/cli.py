@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
@@ -19,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from pv_inspect import __version__, cli_cracks, cli_review
+from pv_inspect import __version__, cli_cracks, cli_gui, cli_review
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 
@@ -349,60 +345,12 @@ def simulate(
 
 @app.command()
 def gui(
-    sequence: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Frames or a result folder to open.", metavar="SEQUENCE", show_default=False
-        ),
-    ] = None,
+    sequence: cli_gui.Shown = None,
     debug: Debug = False,
 ) -> None:
     """Open the workbench in napari, with a sequence if one is given."""
     with _one_sentence(debug):
-        if sequence is not None and not sequence.exists():
-            raise InspectionError(f"{sequence} does not exist: give a folder of frames or a TIFF.")
-        try:
-            import_module("napari")
-            launch = import_module("napari_pv_inspect").launch
-        except ImportError as error:
-            raise InspectionError(
-                f"The workbench needs napari and Qt, but {error.name or error} can't be loaded: "
-                'install them with  pip install "pv-inspect[gui]".'
-            ) from None
-        _need_a_display()
-        launch(sequence)
-
-
-_DISPLAY_S = 30.0
-
-
-def _need_a_display() -> None:
-    """Look for one from outside: Qt aborts its own process where it finds none."""
-    if sys.platform != "linux":
-        return
-    wanted = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
-    if not any(os.environ.get(name) for name in wanted):
-        raise InspectionError(
-            "The workbench needs a display and there is none: log in at a desktop, or "
-            "through ssh -X; `pv-inspect run` works without."
-        )
-    probe = "from qtpy.QtGui import QGuiApplication; QGuiApplication([])"
-    said = ""
-    try:
-        asked = subprocess.run(
-            [sys.executable, "-c", probe], capture_output=True, text=True, timeout=_DISPLAY_S
-        )
-    except subprocess.TimeoutExpired:
-        said = f"the display has not answered for {_DISPLAY_S:.0f} s"
-    else:
-        if asked.returncode != 0:
-            lines = (line for line in asked.stderr.splitlines() if "qt.qpa" in line)
-            said = next(lines, "no reason is known")
-    if said:
-        raise InspectionError(
-            f"The workbench can't open a window ({said}): check DISPLAY and that Qt's system "
-            "libraries are installed; `pv-inspect run` works without."
-        )
+        cli_gui.open_workbench(sequence)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ import tifffile
 from typer.testing import CliRunner, Result
 
 import pv_inspect
-from pv_inspect import cli, folders, pipeline
+from pv_inspect import cli, cli_gui, folders, pipeline
 from pv_inspect.pipeline import Step
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import SimulationSettings
@@ -245,13 +245,13 @@ def test_gui_without_napari_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
     def missing(name: str) -> Any:
         raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr(cli, "import_module", missing)
+    monkeypatch.setattr(cli_gui, "import_module", missing)
     refused(called("gui"), r'napari can\'t be loaded: install them with +pip install "pv-inspect')
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
 def test_gui_without_a_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
+    monkeypatch.setattr(cli_gui, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     refused(called("gui"), "needs a display")
@@ -262,12 +262,12 @@ def test_gui_on_a_display_that_does_not_answer_is_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("qtpy")
-    monkeypatch.setattr(cli, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
+    monkeypatch.setattr(cli_gui, "import_module", lambda _: SimpleNamespace(launch=pytest.fail))
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setenv("QT_QPA_PLATFORM", "xcb")
     monkeypatch.setenv("DISPLAY", ":98765")
     refused(called("gui"), r"can\'t open a window \(qt.qpa")
-    monkeypatch.setattr(cli, "_DISPLAY_S", 0.0)
+    monkeypatch.setattr(cli_gui, "_DISPLAY_S", 0.0)
     refused(called("gui"), r"the display has not answered for 0 s")
 
 
