@@ -173,7 +173,9 @@ class Monkey:
 
     def _do_verdict(self) -> None:
         cell, state = self.bench.model.selected_cell, self.bench.review.state
-        if cell is None or state.folder is None or cell not in state.subject.places:
+        if cell is None or state.folder is None or state.subject is None:
+            return
+        if cell not in state.subject.places:
             return
         kind = self._any(list(VerdictKind))
         view = self.cells.view
