@@ -91,6 +91,10 @@ Debug = Annotated[
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 
 
+IN_DOUBT = 3
+"""Exit code of a run whose result is written but must not be relied on."""
+
+
 def main() -> None:
     """Entry point of the command ``pv-inspect``."""
     app()
@@ -178,6 +182,8 @@ def run(
     """Reconstruct one module and write its result folder.
 
     Writes module_hr.tif, support.tif, cracks.tif, cells/, cells.csv, report.html and result.json.
+    Exit code: 0 if the result is whole and without doubt; 3 if it is written but must not be relied
+    on (the summary begins with the reason); 1 if there is none.
     """
     with _one_sentence(debug):
         # Imported here: --help and --version answer at once.
@@ -222,8 +228,13 @@ def run(
             read_camera(settings.calibration_file, opened.shape)
         inspection = follow(inspect(opened, settings), quiet=quiet)
         write_result(inspection, out)
-        if not quiet:
+        if quiet:
+            for doubt in inspection.doubts:
+                typer.echo(f"pv-inspect: in doubt: {doubt}", err=True)
+        else:
             typer.echo(_summary(inspection, out, perf_counter() - begun))
+        if inspection.doubts:
+            raise typer.Exit(IN_DOUBT)
 
 
 @app.command()
@@ -405,6 +416,7 @@ def _summary(inspection: Any, out: Path, seconds: float) -> str:
     height, width = inspection.reconstruction.image.shape
     magnification = inspection.reconstruction.grid.magnification
     lines = [
+        *(f"IN DOUBT  {text}" for text in inspection.doubts),
         f"frames    {int(used.sum())} of {used.size} used",
         *rejected,
         f"residual  {rms_text} (median over frames, units of the noise; 1 is ideal)",

@@ -72,7 +72,11 @@ def inspection_html(inspection: Inspection) -> str:
     stale = inspection.stale(inspection.settings)
     missing = [stage.value for stage in sorted(stale, key=lambda stage: stage.index)]
     return _html(
-        inspection.sequence.source.resolve().name, picture, rows, missing, inspection.warnings
+        inspection.sequence.source.resolve().name,
+        picture,
+        rows,
+        missing,
+        (*inspection.doubts, *inspection.warnings),
     )
 
 
@@ -98,7 +102,7 @@ def result_html(result: Result) -> str:
         _crack_row(result.cells),
     ]
     picture = _picture(result.image, result.grid, result.crack_map)
-    return _html(result.folder.name, picture, rows, [], result.warnings)
+    return _html(result.folder.name, picture, rows, [], (*result.doubts, *result.warnings))
 
 
 def _html(

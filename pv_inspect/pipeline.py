@@ -19,6 +19,7 @@ from pv_inspect.concurrency import in_turn
 from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.crossings import Crossings
 from pv_inspect.detection import detect
+from pv_inspect.doubts import doubts_of, warnings_of
 from pv_inspect.errors import InspectionError
 from pv_inspect.generators import relayed, result_of
 from pv_inspect.homography_registration import register_by_homography
@@ -37,9 +38,6 @@ __all__ = ["Inspection", "Step", "inspect", "run_to_end"]
 
 Part = Crossings | Calibration | Registration | Reconstruction | CellTiles | CrackMap
 T = TypeVar("T")
-
-CONTRADICTION = 2.5
-"""Median residual of the frames, in units of their noise, from which on the user is warned."""
 
 # The field of Inspection that a stage fills, and roughly what share of a run it takes.
 _FIELD: dict[Stage, str] = {
@@ -111,6 +109,8 @@ class Inspection:
         What a user should know about the result, one sentence each.
     layout_guessed : bool
         Whether rows and columns were guessed from the frames because nobody gave them.
+    doubts : tuple of str
+        Why the result must not be relied on, one sentence each; empty if there is no doubt.
     """
 
     sequence: Sequence
@@ -125,6 +125,7 @@ class Inspection:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     layout_guessed: bool = False
+    doubts: tuple[str, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -280,7 +281,8 @@ def inspect(
         state = replace(state, seconds=dict(seconds))
         done += _WEIGHT[stage]
         yield Step(stage, min(done / total, 1.0), _ended(stage, state), part)
-    return replace(state, seconds=seconds, warnings=_warnings(state))
+    state = replace(state, seconds=seconds)
+    return replace(state, warnings=warnings_of(state), doubts=doubts_of(state))
 
 
 def run_to_end(steps: Generator[Step, None, Inspection]) -> Inspection:
@@ -400,31 +402,3 @@ def _ended(stage: Stage, state: Inspection) -> str:
         return f"{state.layout.rows * state.layout.cols} cells cut"
     suspected = sum(cell.crack_suspected for cell in _present(state.cracks).cells)
     return f"cracks suspected in {suspected} of {state.layout.rows * state.layout.cols} cells"
-
-
-def _warnings(state: Inspection) -> tuple[str, ...]:
-    registration, names = _present(state.registration), state.sequence.names
-    reasons = _reasons(registration)
-    n_used = reasons.count("")
-    found = []
-    if state.layout_guessed:
-        found.append(
-            f"Rows and columns were not given: {state.layout.rows} x {state.layout.cols} cells of "
-            f"aspect {state.layout.cell_aspect:g} guessed, please confirm."
-        )
-    if n_used == 1:
-        which = "1 frame" if len(reasons) == 1 else f"1 frame of {len(reasons)} could be used"
-        found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
-    residuals = [r for r in _present(state.reconstruction).residual_rms if np.isfinite(r)]
-    typical = float(np.median(residuals or [0.0]))
-    if n_used > 1 and typical > CONTRADICTION:
-        found.append(
-            f"The frames contradict the module image by {typical:.1f} times their noise, typically "
-            "1: check that all of them show the same module and that the grid fits them."
-        )
-    found += [
-        f"{name} is not used: {why.rstrip('.')}."
-        for name, why in zip(names, reasons, strict=True)
-        if why
-    ]
-    return tuple(found)

@@ -162,6 +162,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "total_seconds": sum(seconds.values()),
         "versions": versions(),
         "warnings": inspection.warnings,
+        "doubts": inspection.doubts,
     }
 
 

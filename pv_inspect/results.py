@@ -113,6 +113,8 @@ class Result:
         Marks that are shorter count as no crack in ``cells``.
     seconds : dict of str to float
     warnings : tuple of str
+    doubts : tuple of str
+        Why the result must not be relied on.
     versions : dict of str to str
     prior_weight, psf_sigma_lr_px : float
         lambda and optical blur that were used.
@@ -139,6 +141,7 @@ class Result:
     prior_weight: float = float("nan")
     psf_sigma_lr_px: float = float("nan")
     record: dict[str, Any] = field(default_factory=dict, repr=False)
+    doubts: tuple[str, ...] = ()
 
     @property
     def crack_map(self) -> CrackMap:
@@ -228,6 +231,7 @@ def read_result(folder: Path) -> Result:
         # Results of earlier versions do not say it.
         extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
         seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
+        doubts = tuple(map(str, record.get("doubts", ())))
         made_with = dict(record["versions"])
         weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
     image = _read_image(folder / "module_hr.tif")
@@ -257,6 +261,7 @@ def read_result(folder: Path) -> Result:
         weight,
         sigma,
         record,
+        doubts,
     )
 
 
@@ -334,6 +339,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         ],
         "class_rule": CLASS_RULE.splitlines(),
         "seconds": {**seconds, "total": sum(seconds.values())},
+        "doubts": list(inspection.doubts),
         "warnings": list(inspection.warnings),
         "versions": versions(),
     }

@@ -111,6 +111,7 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
         result.crack_map,
         seconds,
         result.warnings,
+        doubts=result.doubts,
     )
 
 

@@ -18,6 +18,7 @@ from typer.testing import CliRunner, Result
 import pv_inspect
 from pv_inspect import cli, cli_gui, folders, pipeline
 from pv_inspect.pipeline import Step
+from pv_inspect.results import read_result
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import SimulationSettings
 from tests.handmade import made_inspection
@@ -73,6 +74,25 @@ def test_a_run_writes_the_result_and_sums_it_up_on_stdout(
     for said in ("2 of 3 used", "not used: frame_1", "1.25", "suspected in 1", "a warning."):
         assert said in result.stdout
     assert str(tmp_path / "out" / "report.html") in result.stdout
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_result_in_doubt_says_so_first_and_exits_with_3(
+    frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: bool
+) -> None:
+    def inspect(*_: Any) -> Generator[Step, None, Any]:
+        yield Step(Stage.DETECT, 0.5, "looking")
+        return made_inspection(doubts=("The frames contradict each other.",))
+
+    monkeypatch.setattr(pipeline, "inspect", inspect)
+    options = ["--quiet"] if quiet else []
+    result = called("run", frames, "--out", tmp_path / "out", *options)
+    assert result.exit_code == cli.IN_DOUBT == 3
+    said = result.stderr if quiet else result.stdout
+    assert "The frames contradict each other." in said.splitlines()[0]
+    assert read_result(tmp_path / "out").doubts == ("The frames contradict each other.",)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.index("The frames contradict each other.") < page.index('class="lead"')
 
 
 def test_quiet_prints_nothing(frames: Path, tmp_path: Path, quick: list[Settings]) -> None:

@@ -210,9 +210,9 @@ def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
     assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
 
 
-def test_frames_that_do_not_fit_together_are_warned_about(stages: Stages) -> None:
+def test_frames_that_do_not_fit_together_put_the_result_in_doubt(stages: Stages) -> None:
     stages.reconstruction = replace(made_reconstruction(), residual_rms=(6.0, float("nan"), 8.0))
-    told = run_to_end(inspect(SEQUENCE)).warnings
+    told = run_to_end(inspect(SEQUENCE)).doubts
     assert "contradict the module image by 7.0 times their noise" in told[0]
 
 

@@ -1,0 +1,97 @@
+"""What a person has to know before a result is used: doubts first, then warnings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pv_inspect.pipeline import Inspection
+
+__all__ = ["CONTRADICTION", "doubts_of", "warnings_of"]
+
+CONTRADICTION = 2.5
+"""Median residual of the frames, in units of their noise, from which on a result is in doubt.
+
+Seven photographs of different modules gave 6 to 8, simulated sequences 0.8 to 1."""
+
+
+def doubts_of(inspection: Inspection) -> tuple[str, ...]:
+    """Say why a result must not be relied on.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        With all its parts.
+
+    Returns
+    -------
+    tuple of str
+        One sentence each, the gravest first; empty if there is no doubt.
+    """
+    return tuple(
+        sentence for sentence in (_contradiction(inspection), _blindness(inspection)) if sentence
+    )
+
+
+def warnings_of(inspection: Inspection) -> tuple[str, ...]:
+    """Say what is worth knowing about a result and puts none of it in doubt.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        With all its parts.
+
+    Returns
+    -------
+    tuple of str
+        One sentence each.
+    """
+    layout, registration = inspection.layout, inspection.registration
+    assert registration is not None
+    used = int(registration.used.sum())
+    found = []
+    if inspection.layout_guessed:
+        found.append(
+            f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "
+            f"aspect {layout.cell_aspect:g} guessed, please confirm."
+        )
+    if used == 1:
+        total = len(registration.used)
+        which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
+        found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
+    found += [
+        f"{name} is not used: {(why or 'not used').rstrip('.')}."
+        for name, ok, why in zip(
+            inspection.sequence.names, registration.used, registration.why, strict=True
+        )
+        if not ok
+    ]
+    return tuple(found)
+
+
+def _contradiction(inspection: Inspection) -> str:
+    registration, reconstruction = inspection.registration, inspection.reconstruction
+    assert registration is not None
+    assert reconstruction is not None
+    residuals = [r for r in reconstruction.residual_rms if np.isfinite(r)]
+    typical = float(np.median(residuals or [0.0]))
+    if registration.used.sum() < 2 or typical <= CONTRADICTION:
+        return ""
+    return (
+        f"The frames contradict the module image by {typical:.1f} times their noise, typically "
+        "1: check that all of them show the same module and that the grid fits them."
+    )
+
+
+def _blindness(inspection: Inspection) -> str:
+    """Say if no cell at all could be judged: then the absence of cracks says nothing."""
+    assert inspection.cracks is not None
+    cells = inspection.cracks.cells
+    if any(cell.crack_class not in ("unsure", "dark") for cell in cells):
+        return ""
+    return (
+        f"No cell could be judged: in none of the {len(cells)} cells do the frames tell whether "
+        "there are cracks; take sharper or more frames with small movements between them."
+    )
