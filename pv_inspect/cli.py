@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from pv_inspect import __version__, cli_cracks, cli_gui, cli_review
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, one_sentence, printable
 from pv_inspect.settings import Settings
 
 __all__ = ["app", "main"]
@@ -351,7 +351,8 @@ def simulate(
         sequence = follow_fraction(simulate_sequence(settings), "simulating", quiet=quiet)
         write_sequence(sequence, out)
         if not quiet:
-            typer.echo(f"{frames} frames of {width} x {height} with their truth are in {out}")
+            where = printable(str(out))
+            typer.echo(f"{frames} frames of {width} x {height} with their truth are in {where}")
 
 
 @app.command()
@@ -386,7 +387,7 @@ def _one_sentence(debug: bool) -> Iterator[None]:
 
 
 def _fail(sentence: str, code: int) -> None:
-    typer.echo(f"pv-inspect: {sentence}", err=True)
+    typer.echo(f"pv-inspect: {one_sentence(sentence)}", err=True)
     raise typer.Exit(code)
 
 
@@ -428,7 +429,7 @@ def _summary(inspection: Any, out: Path, seconds: float) -> str:
         f"report    {out / 'report.html'}",
         f"time      {seconds:.1f} s",
     ]
-    return "\n".join(lines)
+    return "\n".join(map(printable, lines))
 
 
 def _assignment(text: str) -> tuple[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, printable
 from pv_inspect.settings import Settings
 
 __all__ = ["cracks_of"]
@@ -90,7 +90,7 @@ def cracks_of(
         typer.echo(
             f"cells     {len(cells)}, cracks suspected in {suspected}"
             + (f"; {refused} images could not be used" if refused else "")
-            + f"\ndetector  {detector.name}\nresults   {out}"
+            + f"\ndetector  {detector.name}\nresults   {printable(str(out))}"
         )
     return not refused
 

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from pv_inspect.errors import printable
+
 __all__ = ["Current", "Export", "Exposure", "Folder", "Serial", "Temperature", "review_of"]
 
 Folder = Annotated[
@@ -75,4 +77,4 @@ def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool
             f"differ    the raters disagree on {disagreed} {'cell' if disagreed == 1 else 'cells'}"
         )
     lines += [f"written   {path}" for path in written]
-    typer.echo("\n".join(lines))
+    typer.echo("\n".join(map(printable, lines)))
