@@ -127,9 +127,8 @@ def main() -> int:
     registration, cracks = inspection.registration, inspection.cracks
     assert registration is not None
     assert cracks is not None
-    suspected = sum(cell.crack_suspected for cell in cracks.cells)
     print(f"frames    {registration.used.sum()} of {len(sequence)} used")
-    print(f"cells     {len(cracks.cells)}, cracks suspected in {suspected}")
+    print(f"cells     {cracks.counts.text}")
     if (options.sequence / "truth").is_dir():
         ours, single = qualities(inspection, options.sequence / "truth")
         print(

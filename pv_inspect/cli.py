@@ -10,7 +10,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
@@ -192,6 +191,7 @@ def run(
         from pv_inspect.progress import follow
         from pv_inspect.results import check_writable, write_result
         from pv_inspect.sequence import Sequence
+        from pv_inspect.summary import summary
 
         given = {
             "rows": rows,
@@ -232,7 +232,7 @@ def run(
             for doubt in inspection.doubts:
                 typer.echo(f"pv-inspect: in doubt: {doubt}", err=True)
         else:
-            typer.echo(_summary(inspection, out, perf_counter() - begun))
+            typer.echo(summary(inspection, out, perf_counter() - begun))
         if inspection.doubts:
             raise typer.Exit(IN_DOUBT)
 
@@ -399,37 +399,6 @@ def _use_threads(threads: int | None) -> None:
         available = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
         numba.set_num_threads(min(threads, available))
         cv2.setNumThreads(threads)
-
-
-def _summary(inspection: Any, out: Path, seconds: float) -> str:
-    """What a run has come to, in a few lines."""
-    registration, cracks = inspection.registration, inspection.cracks
-    used = registration.used
-    rejected = [
-        f"  not used: {name}: {why}"
-        for name, ok, why in zip(inspection.sequence.names, used, registration.why, strict=True)
-        if not ok
-    ]
-    suspected = sum(cell.crack_suspected for cell in cracks.cells)
-    dark = sum(cell.dark for cell in cracks.cells)
-    rms = np.asarray(registration.rms, np.float64)[used]
-    rms_text = f"{np.median(rms):.2f}" if np.isfinite(rms).any() else "not measured"
-    height, width = inspection.reconstruction.image.shape
-    magnification = inspection.reconstruction.grid.magnification
-    lines = [
-        *(f"IN DOUBT  {text}" for text in inspection.doubts),
-        f"frames    {int(used.sum())} of {used.size} used",
-        *rejected,
-        f"residual  {rms_text} (median over frames, units of the noise; 1 is ideal)",
-        f"module    {width} x {height} px, {magnification:.2f}x",
-        f"cells     {len(cracks.cells)}, cracks suspected in {suspected}"
-        + (f", {dark} dark and not judged" if dark else ""),
-        *(f"warning   {text}" for text in inspection.warnings if "is not used" not in text),
-        f"results   {out}",
-        f"report    {out / 'report.html'}",
-        f"time      {seconds:.1f} s",
-    ]
-    return "\n".join(map(printable, lines))
 
 
 def _assignment(text: str) -> tuple[str, Any]:

@@ -58,7 +58,7 @@ def cracks_of(
         If there are no images, none of them is a cell, the model is unusable, or ``out`` can't
         be written.
     """
-    from pv_inspect.cracks import NetworkDetector, detector_of
+    from pv_inspect.cracks import CellCounts, NetworkDetector, detector_of
     from pv_inspect.cracks.plain import cells_csv, image_files, read_plain_cell, tiff_bytes
 
     files = image_files(images)
@@ -86,9 +86,8 @@ def cracks_of(
     if cells:
         _write(out / "cells.csv", cells_csv(cells).encode())
     if not quiet:
-        suspected = sum(cell.features.crack_suspected for cell in cells)
         typer.echo(
-            f"cells     {len(cells)}, cracks suspected in {suspected}"
+            f"cells     {CellCounts.of(cell.features for cell in cells).text}"
             + (f"; {refused} images could not be used" if refused else "")
             + f"\ndetector  {detector.name}\nresults   {printable(str(out))}"
         )

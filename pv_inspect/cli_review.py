@@ -66,7 +66,11 @@ def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool
     if quiet:
         return
     layout = result.grid.layout
-    lines = [f"review    {progress(verdicts, layout).text}"]
+    lines = [
+        *(f"IN DOUBT  {text}" for text in result.doubts),
+        f"cells     {result.crack_map.counts.text}",
+        f"review    {progress(verdicts, layout).text}",
+    ]
     for rater in raters_of(verdicts):
         found = progress(of_rater(verdicts, rater).values(), layout)
         counts = ", ".join(f"{n} {kind.label}" for kind, n in found.counts.items() if n)

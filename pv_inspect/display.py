@@ -8,7 +8,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from pv_inspect.cracks import CellFeatures, CrackMap
+from pv_inspect.cracks import CellCounts, CellFeatures, CrackMap
+from pv_inspect.figures import REGISTRATION_RESIDUAL, RESIDUAL, median_text
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.pictures import (
     blended,
@@ -48,27 +49,29 @@ def inspection_html(inspection: Inspection) -> str:
     registration, reconstruction = inspection.registration, inspection.reconstruction
     poses, cracks = registration or inspection.calibration, inspection.cracks
     n_frames = len(inspection.sequence)
-    rows = [_layout_row(inspection.layout, inspection.layout_guessed)]
+    rows = [] if cracks is None else [_cells_row(cracks.cells)]
+    rows.append(_layout_row(inspection.layout, inspection.layout_guessed))
     picture = None
     if poses is not None:
         rows.append(("frames used", f"{int(poses.used.sum())} of {n_frames}"))
-        rows.append(("kappa", f"{poses.camera.kappa:+.4f}"))
+        kappa = "kappa" if registration is not None else "kappa, preliminary"
+        rows.append((kappa, f"{poses.camera.kappa:+.4f}"))
     elif inspection.crossings is not None:
         good = sum(not frame.why for frame in inspection.crossings.frames)
         rows.append(("module found in", f"{good} of {n_frames} frames"))
     if inspection.calibration is not None:
-        rms = _median(inspection.calibration.rms_px[inspection.calibration.used])
-        rows.append(("crossing points, rms", f"{rms} px"))
+        px = median_text(inspection.calibration.rms_px[inspection.calibration.used])
+        rows.append(("crossing points from the grid", f"{px} LR px"))
     if reconstruction is not None:
-        rms = _median(np.array(reconstruction.residual_rms))
         rows += _image_rows(
-            rms, reconstruction.psf_sigma_lr_px, reconstruction.prior_weight, reconstruction.grid
+            median_text(reconstruction.residual_rms),
+            reconstruction.psf_sigma_lr_px,
+            reconstruction.prior_weight,
+            reconstruction.grid,
         )
         picture = _picture(reconstruction.image, reconstruction.grid, cracks)
     elif registration is not None:
-        rows.append(_residual_row(_median(registration.rms)))
-    if cracks is not None:
-        rows.append(_crack_row(cracks.cells))
+        rows.append(_residual_row(REGISTRATION_RESIDUAL, median_text(registration.rms)))
     stale = inspection.stale(inspection.settings)
     missing = [stage.value for stage in sorted(stale, key=lambda stage: stage.index)]
     return _html(
@@ -76,7 +79,8 @@ def inspection_html(inspection: Inspection) -> str:
         picture,
         rows,
         missing,
-        (*inspection.doubts, *inspection.warnings),
+        inspection.doubts,
+        inspection.warnings,
     )
 
 
@@ -93,20 +97,25 @@ def result_html(result: Result) -> str:
         Picture of the module with the cracks, numbers, warnings.
     """
     used = sum(frame.used for frame in result.frames)
-    rms = _median(np.array([frame.residual for frame in result.frames]))
+    residual = median_text(frame.residual for frame in result.frames)
     rows = [
+        _cells_row(result.cells),
         _layout_row(result.grid.layout),
         ("frames used", f"{used} of {len(result.frames)}"),
         ("kappa", f"{result.camera.kappa:+.4f}"),
-        *_image_rows(rms, result.psf_sigma_lr_px, result.prior_weight, result.grid),
-        _crack_row(result.cells),
+        *_image_rows(residual, result.psf_sigma_lr_px, result.prior_weight, result.grid),
     ]
     picture = _picture(result.image, result.grid, result.crack_map)
-    return _html(result.folder.name, picture, rows, [], (*result.doubts, *result.warnings))
+    return _html(result.folder.name, picture, rows, [], result.doubts, result.warnings)
 
 
 def _html(
-    title: str, picture: str | None, rows: list[_Row], missing: list[str], warnings: tuple[str, ...]
+    title: str,
+    picture: str | None,
+    rows: list[_Row],
+    missing: list[str],
+    doubts: tuple[str, ...],
+    warnings: tuple[str, ...],
 ) -> str:
     environment = Environment(
         loader=PackageLoader("pv_inspect"),
@@ -116,7 +125,7 @@ def _html(
         lstrip_blocks=True,
     )
     return environment.get_template("inspection.html.j2").render(
-        title=title, picture=picture, rows=rows, missing=missing, warnings=warnings
+        title=title, picture=picture, rows=rows, missing=missing, doubts=doubts, warnings=warnings
     )
 
 
@@ -134,27 +143,19 @@ def _layout_row(layout: ModuleLayout, guessed: bool = False) -> _Row:
     return "module", f"{layout.rows} x {layout.cols} cells{aspect}{how}"
 
 
-def _image_rows(rms: str, psf_sigma: float, prior_weight: float, grid: HrGrid) -> list[_Row]:
+def _image_rows(residual: str, psf_sigma: float, prior_weight: float, grid: HrGrid) -> list[_Row]:
     height, width = grid.shape
     return [
         ("image", f"{width} x {height} pixels, {grid.magnification:.2f} x the frames"),
-        _residual_row(rms),
+        _residual_row(RESIDUAL, residual),
         ("PSF sigma", f"{psf_sigma:.2f} LR px"),
         ("lambda", f"{prior_weight:.3g}"),
     ]
 
 
-def _residual_row(rms: str) -> _Row:
-    return "residual of the frames, rms", f"{rms} x noise"
+def _residual_row(name: str, text: str) -> _Row:
+    return name, f"{text} x noise"
 
 
-def _crack_row(cells: tuple[CellFeatures, ...]) -> _Row:
-    suspected = sum(cell.crack_suspected for cell in cells)
-    dark = sum(cell.dark for cell in cells)
-    extra = f"; {dark} dark, not judged" if dark else ""
-    return "cracks suspected in", f"{suspected} of {len(cells)} cells{extra}"
-
-
-def _median(values: NDArray[np.float64]) -> str:
-    known = values[np.isfinite(values)]
-    return f"{np.median(known):.2f}" if known.size else "–"
+def _cells_row(cells: tuple[CellFeatures, ...]) -> _Row:
+    return "cells", CellCounts.of(cells).text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
+from pv_inspect.figures import known_median
 
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection
@@ -75,9 +75,8 @@ def _contradiction(inspection: Inspection) -> str:
     registration, reconstruction = inspection.registration, inspection.reconstruction
     assert registration is not None
     assert reconstruction is not None
-    residuals = [r for r in reconstruction.residual_rms if np.isfinite(r)]
-    typical = float(np.median(residuals or [0.0]))
-    if registration.used.sum() < 2 or typical <= CONTRADICTION:
+    typical = known_median(reconstruction.residual_rms)
+    if registration.used.sum() < 2 or not typical > CONTRADICTION:
         return ""
     return (
         f"The frames contradict the module image by {typical:.1f} times their noise, typically "
@@ -88,10 +87,12 @@ def _contradiction(inspection: Inspection) -> str:
 def _blindness(inspection: Inspection) -> str:
     """Say if no cell at all could be judged: then the absence of cracks says nothing."""
     assert inspection.cracks is not None
-    cells = inspection.cracks.cells
-    if any(cell.crack_class not in ("unsure", "dark") for cell in cells):
+    counts = inspection.cracks.counts
+    if counts.judged or not counts.total:
         return ""
-    return (
-        f"No cell could be judged: in none of the {len(cells)} cells do the frames tell whether "
-        "there are cracks; take sharper or more frames with small movements between them."
+    todo = (
+        "take sharper or more frames with small movements between them"
+        if counts.undecidable
+        else "check that current flows through the module"
     )
+    return f"{counts.unjudged_text}, so that no mark does not mean no crack: {todo}."

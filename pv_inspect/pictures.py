@@ -31,11 +31,11 @@ CRACK_RGB = (213, 94, 0)
 
 
 def crack_mask(cracks: CrackMap, grid: HrGrid) -> Image:
-    """1 where a mark counts as suspected crack."""
+    """1 where a mark is that a crack could have made, also in cells that can't be judged."""
     marks = np.zeros(grid.shape, np.float32)
     for cell in cracks.cells:
         where = grid.cell_slices(cell.row, cell.col)
-        if cell.crack_suspected:
+        if cell.has_marks and not cell.dark:
             found = crack_marks(
                 cracks.probability[where],
                 cracks.threshold,

@@ -391,7 +391,8 @@ def _ended(stage: Stage, state: Inspection) -> str:
     if stage is Stage.CALIBRATE:
         calibration = _present(state.calibration)
         rms = np.median(calibration.rms_px[calibration.used]) if calibration.used.any() else np.nan
-        return f"camera fitted, kappa {calibration.camera.kappa:+.4f}, median rms {rms:.2f} px"
+        kappa = f"preliminary kappa {calibration.camera.kappa:+.4f}"
+        return f"camera fitted, {kappa}, crossing points {rms:.2f} px from the grid"
     if stage is Stage.REGISTER:
         registration = _present(state.registration)
         return f"{int(registration.used.sum())} of {len(registration.used)} frames registered"
@@ -400,5 +401,4 @@ def _ended(stage: Stage, state: Inspection) -> str:
         return f"module image of {width} x {height} pixels"
     if stage is Stage.CELLS:
         return f"{state.layout.rows * state.layout.cols} cells cut"
-    suspected = sum(cell.crack_suspected for cell in _present(state.cracks).cells)
-    return f"cracks suspected in {suspected} of {state.layout.rows * state.layout.cols} cells"
+    return _present(state.cracks).counts.text

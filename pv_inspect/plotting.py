@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.pictures import contrast_of, crack_mask, crack_overlay
 from pv_inspect.settings import Stage
@@ -37,6 +38,7 @@ __all__ = ["plot_cells", "plot_grid", "plot_residuals"]
 GRID = "#56B4E9"
 MEASURED = "#F0E442"
 PREDICTED = "#D55E00"
+UNDECIDABLE = "#E69F00"
 USED, NOT_USED = "#0072B2", "#D55E00"
 
 # Distortion bends a cell border by far less than a pixel within a quarter of a cell.
@@ -98,7 +100,7 @@ def plot_grid(inspection: Inspection, frame: int | None = None, ax: Axes | None 
 
 
 def plot_cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
-    """Plot the module, cell by cell, with suspected cracks and their class.
+    """Plot the module, cell by cell, with marks, class, and a "?" where nothing can be said.
 
     Parameters
     ----------
@@ -134,13 +136,17 @@ def plot_cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
     if cracks is not None:
         marks = crack_mask(cracks, grid)
         ax.imshow(crack_overlay(cracks.probability, marks, max(marks.shape)), extent=extent)
-        suspected = [cell for cell in cracks.cells if cell.crack_suspected]
-        for cell in suspected:
+        for cell in cracks.cells:
             corner = (cell.col, cell.row / layout.cell_aspect)
-            _box(ax, corner, layout, f"{cell.crack_class} {cell.crack_length_cells:.2f}")
-        title = f"cracks suspected in {len(suspected)} of {len(cracks.cells)} cells"
-        if suspected:
-            title += "; class, and length of its cracks in cell widths"
+            if cell.crack_suspected:
+                _box(ax, corner, layout, f"{cell.crack_class} {cell.crack_length_cells:.2f}")
+            elif cell.undecidable:
+                _box(ax, corner, layout, "?", UNDECIDABLE)
+        title = cracks.counts.text
+        if cracks.counts.suspected:
+            title += "\nclass, and length of its cracks in cell widths"
+        if cracks.counts.undecidable:
+            title += "\n?: can't be judged"
     ax.set_xticks(np.arange(layout.cols) + 0.5, [str(j + 1) for j in range(layout.cols)])
     ax.set_yticks(
         (np.arange(layout.rows) + 0.5) / layout.cell_aspect,
@@ -165,8 +171,8 @@ def plot_residuals(inspection: Inspection, ax: Axes | None = None) -> Axes:
     -------
     matplotlib.axes.Axes
         After the calibration the rms distance of the crossing points from the grid, LR px; after
-        the registration and the reconstruction the residual of the intensities in units of the
-        noise, where 1 is noise alone.
+        the registration the registration residual, after the reconstruction the residual, both in
+        units of the noise, where 1 is noise alone (see `figures`).
 
     Raises
     ------
@@ -179,10 +185,10 @@ def plot_residuals(inspection: Inspection, ax: Axes | None = None) -> Axes:
         raise _too_early("the residuals", Stage.CALIBRATE)
     if inspection.reconstruction is not None:
         values = np.array(inspection.reconstruction.residual_rms, np.float64)
-        label, title = "rms residual [noise]", "Frames against the module image"
+        label, title = f"{RESIDUAL} [noise]", "Frames against the module image"
     elif registration is not None:
         values = registration.rms
-        label, title = "rms residual [noise]", "Frames against their mean"
+        label, title = f"{REGISTRATION_RESIDUAL} [noise]", "Frames against their mean"
     else:
         assert calibration is not None
         values = calibration.rms_px
@@ -250,11 +256,13 @@ def _dots(ax: Axes, points: NDArray[np.float64], colour: str, label: str) -> Non
         ax.plot(*points.T, "o", color=colour, markersize=3.5, markeredgewidth=0, label=label)
 
 
-def _box(ax: Axes, corner: tuple[float, float], layout: ModuleLayout, text: str) -> None:
+def _box(
+    ax: Axes, corner: tuple[float, float], layout: ModuleLayout, text: str, colour: str = GRID
+) -> None:
     """Outline a cell and write into its upper left corner."""
     x, y = corner
     inset, size = 0.03, (0.94, 1 / layout.cell_aspect - 0.06)
-    ax.add_patch(Rectangle((x + inset, y + inset), *size, fill=False, edgecolor=GRID, lw=1.2))
+    ax.add_patch(Rectangle((x + inset, y + inset), *size, fill=False, edgecolor=colour, lw=1.2))
     ax.text(
         x + 0.06,
         y + 0.06,

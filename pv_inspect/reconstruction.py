@@ -103,7 +103,7 @@ class Reconstruction:
         Residual of the frames around a pixel in units of the noise: about 1 where they agree with
         the image, more where they contradict it, 0 where no frame looks.
     residual_rms : tuple of float
-        Robust residual per frame in units of the noise, NaN for frames not in use.
+        Residual per frame (see `figures`): robust, in units of the noise; NaN if not in use.
     motion : tuple of (length, angle)
         Motion blur per frame, LR px and degrees in the sensor plane; (0, 0) for frames that are
         still or not in use.

@@ -83,7 +83,7 @@ class Registration:
     gain, offset : (n_frames,) float64
         Photometry; the geometric mean of the gains is 1.
     rms : (n_frames,) float64
-        Robust residual against the module image in units of the noise; NaN if not used.
+        Registration residual (see `figures`): robust, in units of the noise; NaN if not used.
     """
 
     layout: ModuleLayout

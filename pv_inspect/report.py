@@ -12,9 +12,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pv_inspect.calibration import focal_length_source
-from pv_inspect.cracks import CLASS_RULE, CellFeatures
-from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, length_text, tooltip
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first, state_of
+from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, class_text, length_text, tooltip
 from pv_inspect.errors import InspectionError
+from pv_inspect.figures import median_text
 from pv_inspect.layout import HrGrid
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.pipeline import Inspection
@@ -103,14 +104,11 @@ def _content(inspection: Inspection) -> dict[str, Any]:
     grid, layout = reconstruction.grid, inspection.layout
     low, high = contrast_of(reconstruction.image, grid)
     picture = grey(shrunk(reconstruction.image, _MODULE_PX), low, high)
-    worst = sorted(
-        cracks.cells,
-        key=lambda cell: (-cell.crack_length_cells, -cell.crack_score, cell.row, cell.col),
-    )
-    suspected = [cell for cell in worst if cell.crack_suspected]
+    worst = look_at_first(cracks.cells)
+    marked = [cell for cell in worst if cell.has_marks and not cell.dark]
     marks = crack_mask(cracks, grid)
     close_ups = []
-    for cell in suspected[:_N_CLOSE_UPS]:
+    for cell in marked[:_N_CLOSE_UPS]:
         where = grid.cell_slices(cell.row, cell.col)
         crop = shrunk(reconstruction.image[where], _CLOSE_UP_PX)
         close_ups.append(
@@ -121,7 +119,6 @@ def _content(inspection: Inspection) -> dict[str, Any]:
             }
         )
     seconds = inspection.seconds
-    rms = np.asarray(reconstruction.residual_rms, np.float64)[registration.used]
     return {
         "title": inspection.sequence.source.resolve().name,
         "source": str(inspection.sequence.source),
@@ -129,12 +126,16 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "grid": grid,
         "n_frames": len(inspection.sequence),
         "n_used": int(registration.used.sum()),
-        "rms_median": float(np.median(rms)) if rms.size else float("nan"),
-        "suspected": suspected,
+        "residual": median_text(reconstruction.residual_rms),
+        "counts": cracks.counts,
+        "states": CellState,
+        "state_of": state_of,
+        "longest": worst[0] if worst and worst[0].crack_suspected else None,
+        "n_marked": len(marked),
         "dark": [cell for cell in cracks.cells if cell.dark],
-        "unsure": [cell for cell in cracks.cells if cell.crack_class == "unsure"],
         "in_mm": inspection.settings.cell_width_mm is not None,
         "length_text": length_text,
+        "class_text": class_text,
         "tooltip": tooltip,
         "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
         "class_rule": CLASS_RULE,
@@ -154,7 +155,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
             focal_length_source(registration.camera, inspection.sequence.shape, inspection.settings)
         ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
-        "prior_weight": reconstruction.prior_weight,
+        "prior_weight": f"{reconstruction.prior_weight:.3g}",
         "lambda_plot": _lambda_plot(reconstruction.lambda_curve, reconstruction.prior_weight),
         "cracks": cracks,
         "settings": _setting_rows(inspection),
@@ -187,15 +188,17 @@ def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
     registration, reconstruction = inspection.registration, inspection.reconstruction
     assert registration is not None
     assert reconstruction is not None
-    rms = np.where(registration.used, reconstruction.residual_rms, np.nan).astype(np.float64)
-    longest = float(np.nanmax(rms)) if np.isfinite(rms).any() else 1.0
+    residual = np.where(registration.used, reconstruction.residual_rms, np.nan)
+    longest = float(np.nanmax(residual)) if np.isfinite(residual).any() else 1.0
     return [
         {
             "file": name,
             "used": bool(registration.used[i]),
             "why": registration.why[i],
-            "rms": float(rms[i]),
-            "bar": 100 * float(rms[i]) / longest if np.isfinite(rms[i]) and longest > 0 else 0.0,
+            "residual": float(residual[i]),
+            "bar": 100 * float(residual[i]) / longest
+            if np.isfinite(residual[i]) and longest > 0
+            else 0.0,
             "gain": float(registration.gain[i]),
             "offset": float(registration.offset[i]),
             "motion": reconstruction.motion[i],
@@ -210,10 +213,15 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     assert registration is not None
     assert reconstruction is not None
     layout, camera = inspection.layout, registration.camera
+    otherwise = "guessed from the frames" if inspection.layout_guessed else "by default"
+    source = {
+        name: "from module.json" if name in inspection.sequence.layout_hint else otherwise
+        for name in ("rows", "cols", "cell_aspect")
+    }
     found = {
-        "rows": f"{layout.rows}, from module.json",
-        "cols": f"{layout.cols}, from module.json",
-        "cell_aspect": f"{layout.cell_aspect:g}",
+        "rows": f"{layout.rows}, {source['rows']}",
+        "cols": f"{layout.cols}, {source['cols']}",
+        "cell_aspect": f"{layout.cell_aspect:g}, {source['cell_aspect']}",
         "dark_frame": "none",
         "flat_frame": "none",
         "kappa": f"{camera.kappa:+.4f}, fitted",

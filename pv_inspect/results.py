@@ -70,9 +70,10 @@ class FrameResult:
     gain, offset : float
         The frame is ``gain * (W f) + offset``, full-scale units.
     rms : float
-        Residual against the mean of the frames, in units of the noise.
+        Registration residual: against the mean of the frames, in units of the noise. Views show
+        ``residual``.
     residual : float
-        Residual against the module image, in units of the noise.
+        Residual: against the module image, in units of the noise; see `figures`.
     edits : dict
         (row, col) of the crossing points that a person has set, and where, (x, y) LR px; None for
         those that were removed.

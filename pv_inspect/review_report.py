@@ -14,6 +14,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks.wording import class_text
+from pv_inspect.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.folders import replace_file
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.report import with_review_state
@@ -176,6 +178,9 @@ def _content(
         "settings": _settings(result.settings),
         "fingerprint": made_by,
         "warnings": result.warnings,
+        "doubts": result.doubts,
+        "counts": result.crack_map.counts,
+        "class_text": class_text,
         "made_with": result.versions,
         "versions": versions(),
     }
@@ -233,16 +238,14 @@ def _rows(
 def _quality(result: Result) -> list[tuple[str, str]]:
     """Numbers that tell how far the image can be trusted."""
     used = [frame for frame in result.frames if frame.used]
-    rms = np.array([frame.rms for frame in used], np.float64)
-    rms = rms[np.isfinite(rms)]
     px, py = result.grid.pixels_per_cell
     return [
         ("Frames used", f"{len(used)} of {len(result.frames)}"),
         ("Magnification", f"{result.grid.magnification:.2f}×"),
         ("HR pixels per cell", f"{px:.0f} × {py:.0f}"),
         (
-            "Residual of the frames, median (units of the noise; 1 is ideal)",
-            f"{np.median(rms):.2f}" if rms.size else "not known",
+            f"Residual ({RESIDUAL_MEANING})",
+            median_text(frame.residual for frame in used),
         ),
         ("Support by the frames, mean (0 to 1)", f"{np.nanmean(result.support):.2f}"),
         ("Optical blur, sigma (frame pixels)", _known(result.psf_sigma_lr_px, ".2f")),

@@ -71,7 +71,13 @@ def test_a_run_writes_the_result_and_sums_it_up_on_stdout(
     result = called("run", frames, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "result.json").exists()
-    for said in ("2 of 3 used", "not used: frame_1", "1.25", "suspected in 1", "a warning."):
+    for said in (
+        "2 of 3 used",
+        "not used: frame_1",
+        "residual  1.10",
+        "suspected in 1",
+        "a warning.",
+    ):
         assert said in result.stdout
     assert str(tmp_path / "out" / "report.html") in result.stdout
 

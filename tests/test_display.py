@@ -42,15 +42,15 @@ def without(inspection: Inspection, *stages: str) -> Inspection:
 
 def test_the_numbers_are_those_of_the_inspection() -> None:
     assert numbers(html(made_inspection())) == {
+        "cells": "cracks suspected in 1 of 6 cells, 5 clean",
         "module": "2 x 3 cells",
         "frames used": "2 of 3",
         "kappa": "-0.1000",
-        "crossing points, rms": "0.10 px",
+        "crossing points from the grid": "0.10 LR px",
         "image": "264 x 184 pixels, 4.00 x the frames",
-        "residual of the frames, rms": "1.10 x noise",  # median of 1.0 and 1.2
+        "residual": "1.10 x noise",  # median of 1.0 and 1.2
         "PSF sigma": "0.40 LR px",
         "lambda": "0.05",
-        "cracks suspected in": "1 of 6 cells",
     }
 
 
@@ -67,7 +67,7 @@ def test_the_crack_is_coloured_where_it_is_and_nothing_else_is() -> None:
 def test_without_cracks_the_picture_is_grey() -> None:
     page = html(without(made_inspection(), "cracks"))
     assert np.ptp(picture(page), axis=2).max() <= 2  # rounding of JPEG's colours
-    assert "cracks suspected in" not in numbers(page)
+    assert "cells" not in numbers(page)
 
 
 def test_names_and_reasons_are_text_and_never_markup() -> None:
@@ -87,7 +87,8 @@ def test_a_partial_inspection_shows_what_there_is_and_says_what_is_missing() -> 
     page = html(registered)
     assert "Still to run: reconstruct, cells, cracks." in page
     assert "<img" not in page
-    assert numbers(page)["residual of the frames, rms"] == "1.25 x noise"
+    assert numbers(page)["registration residual"] == "1.25 x noise"
+    assert "residual" not in numbers(page)
     found = html(without(registered, "registration", "calibration"))
     assert numbers(found) == {"module": "2 x 3 cells", "module found in": "3 of 3 frames"}
     nothing = html(without(registered, "registration", "calibration", "crossings"))
@@ -123,7 +124,7 @@ def test_a_result_that_was_read_shows_the_same_picture_and_numbers(tmp_path: Pat
     page, origin = html(result), html(inspection)
     assert "<result>" not in page
     expected = numbers(origin)
-    del expected["crossing points, rms"]  # not kept in the result folder
+    del expected["crossing points from the grid"]  # not kept in the result folder
     assert numbers(page) == expected
     np.testing.assert_array_equal(picture(page), picture(origin))
     assert Reader(page).text.count(REASON) == 1

@@ -137,7 +137,7 @@ def test_only_a_suspected_cell_is_outlined(inspection: Inspection) -> None:
     (box,) = (patch for patch in ax.patches if isinstance(patch, Rectangle))
     centre = np.array(box.get_xy()) + np.array([box.get_width(), box.get_height()]) / 2
     np.testing.assert_allclose(centre, [1.5, 0.5])  # row 1, column 2
-    assert ax.get_title().startswith("cracks suspected in 1 of 6 cells")
+    assert ax.get_title().startswith("cracks suspected in 1 of 6 cells, 5 clean")
     assert inspection.cracks is not None
     (label,) = ax.texts
     assert label.get_text().endswith(f"{inspection.cracks.cells[1].crack_length_cells:.2f}")

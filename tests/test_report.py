@@ -63,7 +63,10 @@ def test_names_out_of_the_input_are_text_and_never_markup() -> None:
 
 def test_the_page_says_what_an_expert_asks_first() -> None:
     text = " ".join(Reader(render_report(made_inspection())).text.split())
-    assert "Cracks are suspected in 1 of 6 cells, the longest in row 1, column 2." in text
+    assert (
+        "Cracks suspected in 1 of 6 cells, 5 clean. "
+        "The longest suspected crack is in row 1, column 2." in text
+    )
     assert "made from 2 of 3 frames at 4.00× their resolution in 3.1 s" in text
     assert "at a focal length of 100 px (found from the frames)" in text
     for name in Settings.model_fields:
@@ -83,7 +86,8 @@ def test_a_dark_cell_is_named_and_not_judged() -> None:
     cells = (replace(first, dark_area_share=0.9, crack_instances=0), *others)
     html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
     text = " ".join(Reader(html).text.split())
-    assert "One cell is dark, row 1, column 1: its cracks can't be judged." in text
+    assert "1 of 6 cells is dark and not judged; cracks suspected in 1, 4 clean." in text
+    assert "The dark cell is row 1, column 1." in text
     assert "dark, not judged" in text
 
 
@@ -131,8 +135,8 @@ def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
     cells = (replace(first, unsupported_share=0.8, unsure=True), *others)
     html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
     text = " ".join(Reader(html).text.split())
-    assert 'In 1 cell the frames do not earn an answer: the class is "unsure".' in text
-    assert "unsure (none) ✱" in text
+    assert "1 of 6 cells can't be judged from these frames; cracks suspected in 1, 4 clean." in text
+    assert "can't be judged ✱" in text
     assert "80% of the cell is unsupported" in titles(html)[0]
     assert "Not earned by the frames: at least half" in text
 
@@ -140,6 +144,7 @@ def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
 def test_settings_are_shown_with_the_values_that_were_used() -> None:
     text = Reader(render_report(made_inspection())).text
     assert "2, from module.json" in text
+    assert "1, by default" in text
     assert ", fitted" in text
     assert ", estimated" in text
 
@@ -151,7 +156,7 @@ def test_a_module_without_cracks_has_no_close_ups() -> None:
     text = Reader(
         render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
     )
-    assert "No cracks are suspected in any of the 6 cells." in " ".join(text.text.split())
+    assert "No cracks are suspected: all 6 cells are clean." in " ".join(text.text.split())
     assert "Cells to look at first" not in text.text
 
 

@@ -92,7 +92,7 @@ def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path
     assert cell["crack_length_cells"] == inspection.cracks.cells[1].crack_length_cells
     assert cell["crack_length_mm"] is None
     assert (cell["crack_class"], cell["marked_class"]) == ("unknown", "unknown")
-    assert any(line.startswith("unsure ") for line in record["class_rule"])
+    assert any(line.startswith("can't be judged ") for line in record["class_rule"])
     head = (tmp_path / "out" / "cells.csv").read_text().splitlines()[0]
     assert head.endswith("unsupported_share,unsure,crack_class,marked_class")
 

@@ -162,7 +162,8 @@ def called(*arguments: object) -> str:
 
 
 def test_the_command_tells_the_progress_stores_module_data_and_exports(result: Result) -> None:
-    assert called(result.folder) == "review    0 of 6 cells judged\n"
+    cells = "cells     cracks suspected in 1 of 6 cells, 5 clean\n"
+    assert called(result.folder) == f"{cells}review    0 of 6 cells judged\n"
     assert not (result.folder / "review.sqlite").exists()
     with ReviewStore(result.folder) as store:
         for verdict in given(result):

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
+from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
 from pv_inspect.cracks.features import (
-    CLASS_RULE,
     CellFeatures,
     OperatingPoint,
     crack_marks,
@@ -23,6 +23,7 @@ from pv_inspect.cracks.features import (
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
+from pv_inspect.cracks.wording import CLASS_RULE
 from pv_inspect.settings import Settings
 
 # Contrast is judged against at least this share of the module's usual brightness.
@@ -31,7 +32,9 @@ _LEAST_BRIGHTNESS = 0.7
 __all__ = [
     "CLASS_RULE",
     "BusbarFinder",
+    "CellCounts",
     "CellFeatures",
+    "CellState",
     "CrackDetector",
     "CrackMap",
     "NetworkDetector",
@@ -40,9 +43,11 @@ __all__ = [
     "RidgeDetector",
     "crack_marks",
     "detector_of",
+    "look_at_first",
     "measure_cell",
     "operating_point_of",
     "read_cracks",
+    "state_of",
 ]
 
 
@@ -99,6 +104,11 @@ class CrackMap:
     detector: str
     cells: tuple[CellFeatures, ...]
     least_extent_cells: float = OperatingPoint.least_extent_cells
+
+    @property
+    def counts(self) -> CellCounts:
+        """How many cells are suspected, clean, dark, or can't be judged."""
+        return CellCounts.of(self.cells)
 
 
 def detector_of(settings: Settings) -> CrackDetector:

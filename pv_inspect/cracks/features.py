@@ -14,7 +14,6 @@ from pv_inspect.cracks.centreline import branches, length_of
 from pv_inspect.cracks.isolation import Busbars, isolated_share
 
 __all__ = [
-    "CLASS_RULE",
     "FEATURES",
     "UNSUPPORTED",
     "CellFeatures",
@@ -24,19 +23,6 @@ __all__ = [
     "measure_cell",
     "texts",
 ]
-
-CLASS_RULE = """\
-dark    at least half of the cell is dark: cracks are not judged
-none    no mark that a crack could have made
-A       cracks that cut off less than 1 % of the cell even if no current crossed them, or what they
-        would cut off is at least 0.8 times as bright as the rest: connected
-B       what the cracks would cut off is 0.4 to 0.8 times as bright as the rest: badly connected
-C       it is less than 0.4 times as bright as the rest: cut off
-unknown cracks, but no busbars were found
-unsure  the frames did not earn the answer: without the cracks of which at least half lies on pixels
-        with a support under 0.1 the class would be another one, or there is no crack and at least
-        half of the cell has such pixels
-"""
 
 # A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
 # smallest rectangle over the other one; a large mark (cell widths) may be a crack that branches
@@ -119,7 +105,7 @@ class CellFeatures:
         Share of the crack length, or of the area of a cell without cracks, that lies on pixels
         with a support under 0.1. NaN if no support map is known.
     unsure : bool
-        Whether the class hangs on what the frames did not earn (last entry of `CLASS_RULE`).
+        Whether the class hangs on what the frames did not earn (`wording.CLASS_RULE`).
     """
 
     row: int
@@ -139,9 +125,19 @@ class CellFeatures:
     unsure: bool = False
 
     @property
-    def crack_suspected(self) -> bool:
-        """Whether there is at least one mark that a crack could have made."""
+    def has_marks(self) -> bool:
+        """Whether there is at least one mark that a crack could have made, earned or not."""
         return self.crack_instances > 0
+
+    @property
+    def undecidable(self) -> bool:
+        """Whether the frames leave open what the class is: neither suspected nor clean."""
+        return self.unsure and not self.dark
+
+    @property
+    def crack_suspected(self) -> bool:
+        """Whether cracks are suspected: there are marks, and the cell could be judged."""
+        return self.has_marks and not self.undecidable and not self.dark
 
     @property
     def dark(self) -> bool:
@@ -158,7 +154,7 @@ class CellFeatures:
 
     @property
     def marked_class(self) -> str:
-        """Class after `CLASS_RULE` if every mark is right; A, B and C are modes of [1]_.
+        """Class after `wording.CLASS_RULE` if every mark is right; A, B, C are modes of [1]_.
 
         References
         ----------
@@ -172,8 +168,8 @@ class CellFeatures:
 
     @property
     def crack_class(self) -> str:
-        """Class after `CLASS_RULE`, "unsure" included."""
-        return "unsure" if self.unsure and not self.dark else self.marked_class
+        """Class after `wording.CLASS_RULE`; "unsure" is the id of a cell that can't be judged."""
+        return "unsure" if self.undecidable else self.marked_class
 
 
 def _class_of(instances: int, isolated_share: float, isolated_brightness: float) -> str:

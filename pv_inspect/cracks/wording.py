@@ -4,11 +4,38 @@ from __future__ import annotations
 
 import math
 
+from pv_inspect.cracks.counts import CellState
 from pv_inspect.cracks.features import UNSUPPORTED, CellFeatures
 
-__all__ = ["CLASS_WORDS", "EARNED_RULE", "described", "length_text", "tooltip"]
+__all__ = [
+    "CLASS_RULE",
+    "CLASS_WORDS",
+    "EARNED_RULE",
+    "class_text",
+    "described",
+    "length_text",
+    "tooltip",
+]
 
-# In the order of how much they matter to an expert, the worst first.
+# What the class with the id "unsure" is called: "unsure" is a verdict that an expert gives.
+_UNDECIDABLE = CellState.UNDECIDABLE.value
+
+CLASS_RULE = f"""\
+dark             at least half of the cell is dark: cracks are not judged
+none             no mark that a crack could have made
+A                cracks that cut off less than 1 % of the cell even if no current crossed them, or
+                 what they would cut off is at least 0.8 times as bright as the rest: connected
+B                what the cracks would cut off is 0.4 to 0.8 times as bright as the rest: badly
+                 connected
+C                it is less than 0.4 times as bright as the rest: cut off
+unknown          cracks, but no busbars were found
+{_UNDECIDABLE}  the frames did not earn the answer: without the cracks of which at least half lies
+                 on pixels with a support under {UNSUPPORTED:g} the class would be another one, or
+                 there is no crack and at least half of the cell has such pixels ("unsure" in
+                 cells.csv, verdicts.csv and result.json)
+"""
+
+# By the id of the class, in the order of how much they matter to an expert, the worst first.
 CLASS_WORDS = {
     "C": "cracks, a part is cut off",
     "B": "cracks, a part is badly connected",
@@ -32,6 +59,22 @@ def length_text(cell: CellFeatures) -> str:
     return f"{cell.crack_length_mm:.0f} mm"
 
 
+def class_text(cell: CellFeatures) -> str:
+    """Class of a cell as it is shown: ``can't be judged (A)`` has marks of an A, if they are right.
+
+    Parameters
+    ----------
+    cell : CellFeatures
+
+    Returns
+    -------
+    str
+    """
+    if not cell.undecidable:
+        return cell.crack_class
+    return f"{_UNDECIDABLE} ({cell.marked_class})" if cell.has_marks else _UNDECIDABLE
+
+
 def described(cell: CellFeatures) -> list[tuple[str, str]]:
     """Describe a cell in pairs of what was measured and a readable value with its unit.
 
@@ -43,12 +86,12 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
     -------
     list of (str, str)
     """
-    name = cell.crack_class
-    kind = f"{name} ({CLASS_WORDS[name]}"
-    if name == "unsure":
-        kind += f"; {cell.marked_class} if the marks are right"
-    pairs = [("class", kind + ")")]
-    if cell.crack_suspected:
+    kind = CLASS_WORDS[cell.crack_class]
+    if cell.undecidable:
+        kind += f"; {cell.marked_class} if the marks are right" if cell.has_marks else "; no marks"
+    name = _UNDECIDABLE if cell.undecidable else cell.crack_class
+    pairs = [("class", f"{name} ({kind})")]
+    if cell.has_marks:
         n = cell.crack_branches
         cracks = f"{cell.crack_instances}, {n} {'branch' if n == 1 else 'branches'}"
         pairs += [("cracks", cracks), ("crack length", length_text(cell))]
@@ -65,7 +108,7 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
         ("crack score", f"{cell.crack_score:.2f} of 1"),
     ]
     if not math.isnan(cell.unsupported_share):
-        where = "crack length" if cell.crack_suspected else "cell"
+        where = "crack length" if cell.has_marks else "cell"
         earned = "yes" if cell.earned else "no"
         share = f"{cell.unsupported_share:.0%} of the {where} is unsupported"
         pairs.append(("earned by the frames", f"{earned}, {share}"))

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from pv_inspect.cracks.features import CLASS_RULE, CellFeatures
-from pv_inspect.cracks.wording import CLASS_WORDS, described, tooltip
+from pv_inspect.cracks.features import CellFeatures
+from pv_inspect.cracks.wording import CLASS_RULE, CLASS_WORDS, class_text, described, tooltip
 
 CELL = CellFeatures(
     row=0,
@@ -38,7 +38,7 @@ def test_a_cell_is_described_with_units() -> None:
 
 def test_a_cell_that_is_not_earned_says_so_and_what_the_marks_alone_say() -> None:
     said = dict(described(replace(CELL, unsupported_share=0.8, unsure=True)))
-    assert said["class"] == "unsure (not earned by the frames; B if the marks are right)"
+    assert said["class"] == "can't be judged (not earned by the frames; B if the marks are right)"
     assert said["earned by the frames"] == "no, 80% of the crack length is unsupported"
 
 
@@ -50,7 +50,18 @@ def test_what_is_not_known_is_not_written_as_nan() -> None:
 
 @pytest.mark.parametrize("name", CLASS_WORDS)
 def test_every_class_is_in_the_written_rule(name: str) -> None:
-    assert any(line.startswith(f"{name} ") for line in CLASS_RULE.splitlines())
+    shown = "can't be judged" if name == "unsure" else name
+    assert any(line.startswith(f"{shown} ") for line in CLASS_RULE.splitlines())
+
+
+def test_unsure_is_the_word_of_an_expert_and_never_the_detectors() -> None:
+    marked, bare = replace(CELL, unsure=True), replace(CELL, unsure=True, crack_instances=0)
+    assert class_text(CELL) == "B"
+    assert class_text(marked) == "can't be judged (B)"
+    assert class_text(bare) == "can't be judged"
+    assert "no marks" in dict(described(bare))["class"]
+    for cell in (marked, bare):
+        assert "unsure" not in tooltip(cell)
 
 
 def test_a_tooltip_begins_with_the_place() -> None:

@@ -1,0 +1,154 @@
+"""How many cells are suspected, clean, dark or can't be judged: counted and worded in one place."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from pv_inspect.cracks.features import CellFeatures
+
+__all__ = ["CellCounts", "CellState", "look_at_first", "state_of"]
+
+
+class CellState(StrEnum):
+    """What is known about the cracks of a cell; each cell has exactly one of these."""
+
+    SUSPECTED = "suspected"
+    UNDECIDABLE = "can't be judged"
+    DARK = "dark"
+    CLEAN = "clean"
+
+    @property
+    def meaning(self) -> str:
+        """One sentence for a tooltip or a legend."""
+        return _MEANING[self]
+
+
+_MEANING = {
+    CellState.SUSPECTED: "At least one mark that a crack could have made.",
+    CellState.UNDECIDABLE: (
+        "The frames do not tell: whether there are cracks, or how bad they are, hangs on details "
+        "that the frames do not determine."
+    ),
+    CellState.DARK: "Dark as a whole: its cracks are not judged.",
+    CellState.CLEAN: "No mark that a crack could have made, and the frames would have shown one.",
+}
+
+
+def state_of(cell: CellFeatures) -> CellState:
+    """Return the one state of a cell.
+
+    A cell that can't be judged is neither suspected nor clean, whatever marks it has.
+    """
+    if cell.dark:
+        return CellState.DARK
+    if cell.undecidable:
+        return CellState.UNDECIDABLE
+    return CellState.SUSPECTED if cell.has_marks else CellState.CLEAN
+
+
+@dataclass(frozen=True)
+class CellCounts:
+    """Cells by what is known about their cracks; the four add up to all cells.
+
+    Parameters
+    ----------
+    suspected, clean : int
+        Cells that could be judged.
+    undecidable : int
+        Cells that can't be judged from these frames (class "unsure" in the tables).
+    dark : int
+        Cells that are dark as a whole and therefore not judged.
+    """
+
+    suspected: int
+    clean: int
+    undecidable: int
+    dark: int
+
+    @classmethod
+    def of(cls, cells: Iterable[CellFeatures]) -> CellCounts:
+        """Count cells."""
+        found = Counter(map(state_of, cells))
+        return cls(
+            found[CellState.SUSPECTED],
+            found[CellState.CLEAN],
+            found[CellState.UNDECIDABLE],
+            found[CellState.DARK],
+        )
+
+    def __getitem__(self, state: CellState) -> int:
+        return {
+            CellState.SUSPECTED: self.suspected,
+            CellState.UNDECIDABLE: self.undecidable,
+            CellState.DARK: self.dark,
+            CellState.CLEAN: self.clean,
+        }[state]
+
+    @property
+    def total(self) -> int:
+        """All cells."""
+        return self.suspected + self.clean + self.undecidable + self.dark
+
+    @property
+    def judged(self) -> int:
+        """Cells with an answer: suspected or clean."""
+        return self.suspected + self.clean
+
+    @property
+    def unjudged_text(self) -> str:
+        """What was not judged, "" if all was: ``7 of 60 cells can't be judged from these frames``.
+
+        The absence of marks says nothing about these cells: whoever tells a count tells this first.
+        """
+        of_all = f" of {self.total} {'cell' if self.total == 1 else 'cells'}"
+        parts = []
+        if self.undecidable:
+            parts.append(f"{self.undecidable}{of_all} can't be judged from these frames")
+        if self.dark:
+            is_dark = "is dark" if self.dark == 1 else "are dark"
+            parts.append(f"{self.dark}{'' if parts else of_all} {is_dark} and not judged")
+        return ", ".join(parts)
+
+    @property
+    def text(self) -> str:
+        """All counts in one line, what was not judged first; no full stop.
+
+        Only where every cell was judged and none is suspected it says that no cracks are suspected.
+        """
+        if not self.total:
+            return "no cells"
+        cells = "cell" if self.total == 1 else "cells"
+        unjudged = self.unjudged_text
+        if unjudged and not self.judged:
+            return f"{unjudged}: none suspected, none clean"
+        if unjudged:
+            return f"{unjudged}; cracks suspected in {self.suspected}, {self.clean} clean"
+        if self.suspected:
+            of_all = f"{self.suspected} of {self.total} {cells}"
+            return f"cracks suspected in {of_all}, {self.clean} clean"
+        all_clean = "the cell is clean" if self.total == 1 else f"all {self.total} cells are clean"
+        return f"no cracks are suspected: {all_clean}"
+
+
+_RANK = {state: rank for rank, state in enumerate(CellState)}
+
+
+def look_at_first(cells: Iterable[CellFeatures]) -> list[CellFeatures]:
+    """Sort cells by how much they want an expert's eye.
+
+    Suspected cells come first, then those that can't be judged, then dark ones, clean ones last;
+    within each the longest marks first, then the highest crack score.
+    """
+    return sorted(
+        cells,
+        key=lambda cell: (
+            _RANK[state_of(cell)],
+            -cell.crack_length_cells,
+            -cell.crack_score,
+            cell.row,
+            cell.col,
+        ),
+    )
