@@ -6,10 +6,14 @@ as well, so that nothing is ever lost.
 
 from __future__ import annotations
 
+import math
 import sqlite3
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from pv_inspect.errors import InspectionError
+from pv_inspect.review.checking import MOST_ENTRIES
 from pv_inspect.review.verdicts import Cell, Verdict, VerdictKind, now
 
 __all__ = [
@@ -19,6 +23,7 @@ __all__ = [
     "Entry",
     "append",
     "entry_from",
+    "inserted",
     "latest",
     "stacks",
     "stepped",
@@ -34,6 +39,7 @@ CONTENT = (
     "isolated_area_share",
     "mask",
 )
+_TEXTS = ("kind", "note", "time", "settings", "software")
 # What `entry_from` reads.
 LINE = f'id, action, stored, rater, "row", col, {", ".join(CONTENT)}'
 
@@ -106,6 +112,15 @@ def entry_from(line: tuple[Any, ...]) -> Entry:
     """
     number, action, stored, rater, row, col, *rest = line
     content = dict(zip(CONTENT, rest, strict=True))
+    # Another program may have written since the file was checked as a whole.
+    texts = (action, stored, rater, *(content[name] or "" for name in _TEXTS))
+    numbers = (content["crack_length_cells"] or 0.0, content["isolated_area_share"] or 0.0)
+    if not (
+        all(isinstance(value, str) for value in texts)
+        and all(isinstance(value, int | float) and math.isfinite(value) for value in numbers)
+        and all(isinstance(value, int) for value in (number, row, col))
+    ):
+        raise TypeError(f"entry {number} of the history has values of another type")
     corrected = content.pop("mask") is not None
     kind = content.pop("kind")
     if kind is None:
@@ -136,12 +151,49 @@ def append(
     content: dict[str, object],
 ) -> int:
     """Add a line and return its number; ``edit`` is the line that an undo or redo is about."""
-    names = ("action", "edit", "stored", "rater", '"row"', "col", *CONTENT)
-    values = (action, edit, now(), rater, *cell, *(content[name] for name in CONTENT))
-    marks = ", ".join("?" * len(names))
-    added = connection.execute(f"INSERT INTO history ({', '.join(names)}) VALUES ({marks})", values)
-    assert added.lastrowid is not None
-    return added.lastrowid
+    values: dict[str, object] = {"action": action, "edit": edit, "stored": now(), "rater": rater}
+    values |= {"row": cell[0], "col": cell[1]} | {name: content[name] for name in CONTENT}
+    return inserted(connection, "history", values)
+
+
+def inserted(
+    connection: sqlite3.Connection,
+    table: str,
+    values: Mapping[str, object],
+    replace: bool = False,
+) -> int:
+    """Add a line to a table, read it back and return its number.
+
+    Numbers that are not finite are stored as unknown. With ``replace`` an earlier line with the
+    same key goes, and the new one is the last of the table all the same.
+
+    Raises
+    ------
+    InspectionError
+        If what is there is not what was given, or the table is full.
+    """
+    given = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in values.items()
+    }
+    names, marks = ", ".join(f'"{name}"' for name in given), ", ".join("?" * len(given))
+    verb = "INSERT OR REPLACE" if replace else "INSERT"
+    added = connection.execute(
+        f"{verb} INTO {table} ({names}) VALUES ({marks})", tuple(given.values())
+    )
+    number = added.lastrowid or 0
+    found = connection.execute(f"SELECT {names} FROM {table} WHERE rowid = ?", (number,)).fetchone()
+    if found != tuple(given.values()):
+        raise InspectionError(
+            "The database of the review did not keep what was to be stored: nothing was stored; "
+            "move the file elsewhere and begin a new one."
+        )
+    if number > MOST_ENTRIES:
+        raise InspectionError(
+            f"A review has at most {MOST_ENTRIES} entries: save the result into another folder "
+            "and go on there (all that was stored before is safe)."
+        )
+    return number
 
 
 def stepped(
@@ -162,21 +214,22 @@ def stepped(
 
 def stacks(connection: sqlite3.Connection, rater: str) -> tuple[list[int], list[int]]:
     """Numbers of the edits of a rater that can be undone, and of those that can be redone."""
-    done: list[int] = []
-    undone: list[int] = []
+    # Sets that keep their order.
+    done: dict[int, None] = {}
+    undone: dict[int, None] = {}
     for number, action, edit in connection.execute(
         "SELECT id, action, edit FROM history WHERE rater = ? ORDER BY id", (rater,)
     ):
         # Not always the last one: the same rater may work in two windows.
         if action == "undo":
-            if edit in done:
-                done.remove(edit)
-            undone.append(edit)
+            done.pop(edit, None)
+            undone.pop(edit, None)
+            undone[edit] = None
         elif action == "redo":
-            if edit in undone:
-                undone.remove(edit)
-            done.append(edit)
+            undone.pop(edit, None)
+            done.pop(edit, None)
+            done[edit] = None
         else:
-            done.append(number)
+            done[number] = None
             undone.clear()
-    return done, undone
+    return list(done), list(undone)

@@ -8,16 +8,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import RLock
-from time import sleep
+from time import monotonic, sleep
 from typing import Self
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.review.schema import failure, opened
+from pv_inspect.review.checking import check_schema
+from pv_inspect.review.schema import TABLES, damaged, failure, opened
 
 __all__ = ["REVIEW_FILE", "ReviewFile"]
 
 REVIEW_FILE = "review.sqlite"
 _REPLACED_S = 0.02
+# No question takes a second; a file that was made to keep us busy is given up.
+_PATIENCE_S = 8.0
 
 
 class ReviewFile:
@@ -37,6 +40,8 @@ class ReviewFile:
         self._lock = RLock()
         self._connection: sqlite3.Connection | None = None
         self._file: tuple[int, int] | None = None
+        self._schema_version = 0
+        self._end_s = 0.0
 
     def __enter__(self) -> Self:
         return self
@@ -71,11 +76,24 @@ class ReviewFile:
                 )
         if not create and not self._exists():
             return None
+        if self.path.exists() and not self.path.is_file():
+            raise damaged(self.path, "it is no file")
         if self._connection is None or self._identity() != self._file:
             self.close()
-            self._connection = opened(self.path, create, self._busy_s)
+            self._connection = opened(self.path, create, self._busy_s, self._is_late)
             self._file = self._identity()
+            self._schema_version = self._version_of_schema(self._connection)
+        elif (version := self._version_of_schema(self._connection)) != self._schema_version:
+            check_schema(self._connection, TABLES, self.path)
+            self._schema_version = version
         return self._connection
+
+    def _is_late(self) -> bool:
+        return monotonic() > self._end_s
+
+    @staticmethod
+    def _version_of_schema(connection: sqlite3.Connection) -> int:
+        return int(connection.execute("PRAGMA schema_version").fetchone()[0])
 
     def _identity(self) -> tuple[int, int]:
         found = self.path.stat()
@@ -85,10 +103,13 @@ class ReviewFile:
     def reading(self) -> Iterator[sqlite3.Connection | None]:
         """Read in the block; None if nothing was ever stored."""
         with self._lock:
+            self._end_s = monotonic() + self._busy_s + _PATIENCE_S
             try:
                 yield self._open(create=False)
             except sqlite3.Error as error:
                 raise failure(error, self.path) from None
+            except (ValueError, TypeError, OverflowError, RecursionError) as error:
+                raise damaged(self.path, str(error)) from None
             except OSError as error:
                 raise InspectionError(f"{self.path} can't be read: {error.strerror}.") from None
 
@@ -96,6 +117,7 @@ class ReviewFile:
     def writing(self) -> Iterator[sqlite3.Connection]:
         """One transaction, on the disk when the block ends; nothing has changed if it raises."""
         with self._lock:
+            self._end_s = monotonic() + self._busy_s + _PATIENCE_S
             try:
                 connection = self._open(create=True)
                 assert connection is not None
@@ -109,5 +131,11 @@ class ReviewFile:
                     raise
             except sqlite3.Error as error:
                 raise failure(error, self.path) from None
+            except UnicodeEncodeError:
+                raise InspectionError(
+                    "The note or the name holds characters that can't be stored: type it again."
+                ) from None
+            except (ValueError, TypeError, OverflowError, RecursionError) as error:
+                raise damaged(self.path, str(error)) from None
             except OSError as error:
                 raise InspectionError(f"{self.path} can't be written: {error.strerror}.") from None

@@ -6,12 +6,12 @@ import sqlite3
 from dataclasses import dataclass, field
 from typing import Any
 
-from pv_inspect.review.entries import CONTENT
+from pv_inspect.review.entries import CONTENT, inserted
 from pv_inspect.review.verdicts import Cell
 
 __all__ = ["Contents", "contents", "merge"]
 
-_COLUMNS = ("action", "edit", "stored", "rater", '"row"', "col", *CONTENT)
+_COLUMNS = ("action", "edit", "stored", "rater", "row", "col", *CONTENT)
 _EDIT, _RATER, _CELL = 1, 3, slice(4, 6)
 _MASK = _COLUMNS.index("mask")
 _SAID = slice(_COLUMNS.index("kind"), _COLUMNS.index("note") + 1)
@@ -57,7 +57,8 @@ def contents(connection: sqlite3.Connection) -> Contents:
     """
     masks = dict(connection.execute("SELECT id, png FROM masks").fetchall())
     lines: dict[int, _Line] = {}
-    query = f"SELECT id, {', '.join(_COLUMNS)} FROM history ORDER BY id"
+    names = ", ".join(f'"{name}"' for name in _COLUMNS)
+    query = f"SELECT id, {names} FROM history ORDER BY id"
     for number, *values in connection.execute(query):
         if (values[_MASK] is None or values[_MASK] in masks) and (
             values[_EDIT] is None or values[_EDIT] in lines
@@ -67,7 +68,7 @@ def contents(connection: sqlite3.Connection) -> Contents:
         tuple(lines.items()),
         masks,
         tuple(connection.execute("SELECT stored, data FROM module_data ORDER BY id")),
-        tuple(connection.execute('SELECT rater, stored, "row", col FROM state')),
+        tuple(connection.execute('SELECT rater, stored, "row", col FROM state ORDER BY rowid')),
     )
 
 
@@ -89,8 +90,6 @@ def merge(connection: sqlite3.Connection, other: Contents) -> tuple[_Place, ...]
     known, news = here.said, other.said
     begun = {_place(line) for _, line in here.lines}
     numbers, masks = dict[int, int](), dict[int, int]()
-    marks = ", ".join("?" * len(_COLUMNS))
-    insert = f"INSERT INTO history ({', '.join(_COLUMNS)}) VALUES ({marks})"
     for number, line in other.lines:
         place = _place(line)
         # What was said here and taken back again gives way.
@@ -99,20 +98,19 @@ def merge(connection: sqlite3.Connection, other: Contents) -> tuple[_Place, ...]
         values = list(line)
         if (mask := line[_MASK]) is not None:
             if mask not in masks:
-                stored = connection.execute(
-                    "INSERT INTO masks (png) VALUES (?)", (other.masks[mask],)
-                )
-                masks[mask] = stored.lastrowid or 0
+                masks[mask] = inserted(connection, "masks", {"png": other.masks[mask]})
             values[_MASK] = masks[mask]
         values[_EDIT] = None if line[_EDIT] is None else numbers[line[_EDIT]]
-        numbers[number] = connection.execute(insert, values).lastrowid or 0
+        added = dict(zip(_COLUMNS, values, strict=True))
+        numbers[number] = inserted(connection, "history", added)
     if not here.module_data:
-        connection.executemany(
-            "INSERT INTO module_data (stored, data) VALUES (?, ?)", other.module_data
-        )
-    connection.executemany(
-        'INSERT OR IGNORE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)', other.states
-    )
+        for stored, data in other.module_data:
+            inserted(connection, "module_data", {"stored": stored, "data": data})
+    known_raters = {state[0] for state in here.states}
+    for rater, stored, row, col in other.states:
+        if rater not in known_raters:
+            values_of = {"rater": rater, "stored": stored, "row": row, "col": col}
+            inserted(connection, "state", values_of)
     return tuple(place for place, said in news.items() if known.get(place, said) != said)
 
 

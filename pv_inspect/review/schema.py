@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.review.checking import MOST_BYTES, check_schema, check_values, guard, limit_size
 
-__all__ = ["VERSION", "failure", "opened"]
+__all__ = ["TABLES", "VERSION", "damaged", "failure", "opened"]
 
 VERSION = 1
+# Instructions of the database; some milliseconds.
+_STEPS_BETWEEN_LOOKS = 50_000
 _APPLICATION = 0x70766972  # "pvir"
 
 # Every entry of the history holds the whole state of one cell for one rater; the latest is the
 # current one. Nothing is ever changed or removed.
-_TABLES = f"""
+TABLES = f"""
 CREATE TABLE masks (
     id INTEGER PRIMARY KEY,
     png BLOB NOT NULL
@@ -64,11 +68,19 @@ _DENIED = (
     sqlite3.SQLITE_AUTH,
 )
 _HELD = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
-_DAMAGED = (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR)
+_DAMAGED = (
+    sqlite3.SQLITE_NOTADB,
+    sqlite3.SQLITE_CORRUPT,
+    sqlite3.SQLITE_ERROR,
+    sqlite3.SQLITE_TOOBIG,
+    sqlite3.SQLITE_MISMATCH,
+)
 
 
-def opened(path: Path, create: bool, busy_s: float) -> sqlite3.Connection:
-    """Open the file of a review, with its tables.
+def opened(
+    path: Path, create: bool, busy_s: float, watch: Callable[[], bool] | None = None
+) -> sqlite3.Connection:
+    """Open the file of a review, with its tables; what is not ours to the letter is refused.
 
     Parameters
     ----------
@@ -78,6 +90,8 @@ def opened(path: Path, create: bool, busy_s: float) -> sqlite3.Connection:
         Make the file and its tables if there are none.
     busy_s : float
         How long to wait for another process that is writing.
+    watch : callable, optional
+        Asked again and again while the database works; true ends what it is doing.
 
     Returns
     -------
@@ -87,7 +101,8 @@ def opened(path: Path, create: bool, busy_s: float) -> sqlite3.Connection:
     Raises
     ------
     InspectionError
-        If the file is damaged, not of ours, or of a newer version.
+        If the file is damaged, of a newer version, or not ours: another schema, values of other
+        types, too large.
     sqlite3.Error
         See `failure`.
 
@@ -106,12 +121,16 @@ def opened(path: Path, create: bool, busy_s: float) -> sqlite3.Connection:
         check_same_thread=False,
     )
     try:
+        connection.set_progress_handler(watch, _STEPS_BETWEEN_LOOKS)
+        guard(connection)
+        is_new = _is_new(connection, path)
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA journal_mode = TRUNCATE")
-        if _is_new(connection, path) and create:
+        limit_size(connection)
+        if is_new and create:
             connection.execute("BEGIN IMMEDIATE")
             if _is_new(connection, path):  # another process may have been faster
-                for statement in _statements(_TABLES):
+                for statement in _statements(TABLES):
                     connection.execute(statement)
             connection.execute("COMMIT")
     except BaseException:
@@ -123,6 +142,12 @@ def opened(path: Path, create: bool, busy_s: float) -> sqlite3.Connection:
 def failure(error: sqlite3.Error, path: Path) -> InspectionError:
     """One sentence about what kept something from being stored or read."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+    if code in _FULL and _size(path) > 0.98 * MOST_BYTES:
+        return InspectionError(
+            f"Nothing more can be stored in {path}: a review has at most {MOST_BYTES / 1e6:.0f} "
+            "MB; save the result into another folder and go on there (all that was stored before "
+            "is safe)."
+        )
     if code in _FULL:
         return InspectionError(
             f"Nothing more can be stored in {path}: the disk is full; free some space and try "
@@ -138,6 +163,8 @@ def failure(error: sqlite3.Error, path: Path) -> InspectionError:
             f"{path} is held by another program: try again, and close the other program if that "
             "does not help."
         )
+    if code == sqlite3.SQLITE_INTERRUPT:
+        return damaged(path, "reading it took too long")
     if code in _DAMAGED:
         return damaged(path, str(error))
     return InspectionError(
@@ -168,10 +195,19 @@ def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
             f"{path} was written by a newer version of pv-inspect (format {version}, this one "
             f"knows {VERSION}): update pv-inspect; the file was not changed."
         )
+    check_schema(connection, TABLES, path)
     (found,) = connection.execute("PRAGMA quick_check(1)").fetchone()
     if found != "ok":
         raise damaged(path, " ".join(str(found).split()))
+    check_values(connection, path)
     return False
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _statements(script: str) -> list[str]:

@@ -6,7 +6,6 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,11 +16,13 @@ from pv_inspect.review.entries import (
     Entry,
     append,
     entry_from,
+    inserted,
     latest,
     stacks,
     stepped,
 )
 from pv_inspect.review.file import REVIEW_FILE, ReviewFile
+from pv_inspect.review.mask_png import mask_from_png, mask_to_png
 from pv_inspect.review.merging import Contents, contents, merge
 from pv_inspect.review.schema import damaged
 from pv_inspect.review.verdicts import Cell, ModuleData, Verdict, check_entry, now
@@ -143,9 +144,8 @@ class ReviewStore(ReviewFile):
             content = latest(connection, rater, cell)
             content |= {"mask": None, "crack_length_cells": None, "isolated_area_share": None}
             if mask is not None:
-                stored = connection.execute("INSERT INTO masks (png) VALUES (?)", (_png(mask),))
                 content |= {
-                    "mask": stored.lastrowid,
+                    "mask": inserted(connection, "masks", {"png": mask_to_png(mask)}),
                     "crack_length_cells": crack_length_cells,
                     "isolated_area_share": isolated_area_share,
                 }
@@ -268,10 +268,8 @@ class ReviewStore(ReviewFile):
     def describe(self, data: ModuleData) -> None:
         """Store what is known about the module; what was stored before is kept as history."""
         with self.writing() as connection:
-            connection.execute(
-                "INSERT INTO module_data (stored, data) VALUES (?, ?)",
-                (now(), json.dumps(asdict(data))),
-            )
+            values = {"stored": now(), "data": json.dumps(asdict(data))}
+            inserted(connection, "module_data", values)
 
     def module_data(self) -> ModuleData:
         """What is known about the module."""
@@ -286,17 +284,14 @@ class ReviewStore(ReviewFile):
             return ModuleData()
         try:
             return ModuleData.from_mapping(json.loads(found[0]))
-        except (ValueError, TypeError, AttributeError) as error:
-            raise damaged(self.path, str(error)) from None
+        except (ValueError, TypeError, AttributeError, RecursionError, InspectionError) as error:
+            raise damaged(self.path, f"module data: {error}") from None
 
     def remember(self, state: ReviewState) -> None:
         """Store where a rater is, for the next session."""
         check_entry((state.row, state.col), state.rater)
         with self.writing() as connection:
-            connection.execute(
-                'INSERT OR REPLACE INTO state (rater, stored, "row", col) VALUES (?, ?, ?, ?)',
-                (state.rater, now(), state.row, state.col),
-            )
+            inserted(connection, "state", {**asdict(state), "stored": now()}, replace=True)
 
     def remembered(self, rater: str | None = None) -> ReviewState | None:
         """Where a rater was, or who was here last; None if nobody was."""
@@ -305,7 +300,7 @@ class ReviewStore(ReviewFile):
                 connection
                 and connection.execute(
                     'SELECT rater, "row", col FROM state WHERE ?1 IS NULL OR rater = ?1 '
-                    "ORDER BY stored DESC, rowid DESC LIMIT 1",
+                    "ORDER BY rowid DESC LIMIT 1",  # a clock may go back
                     (rater,),
                 ).fetchone()
             )
@@ -353,20 +348,11 @@ class ReviewStore(ReviewFile):
     def _entry(self, line: tuple[Any, ...]) -> Entry:
         try:
             return entry_from(line)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, InspectionError) as error:
             raise damaged(self.path, str(error)) from None
 
     def _mask(self, png: bytes) -> Mask:
-        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_GRAYSCALE)
-        if image is None:
-            raise damaged(self.path, "a mask can't be decoded")
-        return np.asarray(image > 0)
-
-
-def _png(mask: Mask) -> bytes:
-    if mask.ndim != 2 or mask.dtype != np.bool_ or not mask.size:
-        raise InspectionError(
-            f"A corrected mask is {mask.dtype} of shape {mask.shape}: give (h, w) bool."
-        )
-    flags = [cv2.IMWRITE_PNG_BILEVEL, 1]
-    return bytes(cv2.imencode(".png", mask.astype(np.uint8) * 255, flags)[1])
+        try:
+            return mask_from_png(png)
+        except ValueError as error:
+            raise damaged(self.path, str(error)) from None

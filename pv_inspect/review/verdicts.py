@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pv_inspect import __version__
 from pv_inspect.errors import InspectionError
@@ -19,6 +18,10 @@ __all__ = ["Cell", "ModuleData", "Verdict", "VerdictKind", "fingerprint", "now",
 
 # (row, column) from 0.
 Cell = tuple[int, int]
+# No module has that many rows or columns.
+HIGHEST = 9999
+# No current, time or temperature of a module.
+_BEYOND_ANY = 1e9
 
 
 class VerdictKind(StrEnum):
@@ -146,7 +149,7 @@ class Verdict:
     Raises
     ------
     InspectionError
-        If the position is negative or the rater has no name.
+        If the position is negative or beyond any module, or the rater has no name.
     """
 
     row: int
@@ -181,9 +184,10 @@ def check_entry(cell: Cell, rater: str) -> None:
         raise InspectionError(
             "A verdict has no rater: give your name, so that two raters can be told apart."
         )
-    if min(cell) < 0:
+    if min(cell) < 0 or max(cell) > HIGHEST:
         raise InspectionError(
-            f"There is no cell in row {cell[0]}, column {cell[1]}: both are counted from 0."
+            f"There is no cell in row {cell[0]}, column {cell[1]}: both are counted from 0, and "
+            f"end at {HIGHEST}."
         )
 
 
@@ -221,11 +225,25 @@ class ModuleData:
         least = {"current_a": 0.0, "exposure_s": 0.0, "temperature_c": -273.15}
         for name, low in least.items():
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > low):
-                raise InspectionError(f"{name} is {value:g}: give a number above {low:g}.")
+            # A huge whole number can't be asked whether it is finite.
+            if value is not None and not low < value < _BEYOND_ANY:
+                shown = str(value)[:20]
+                raise InspectionError(f"{name} is {shown}: give a number above {low:g}.")
 
     @classmethod
     def from_mapping(cls, values: Mapping[str, object]) -> ModuleData:
-        """Read what was stored; entries that this version does not know are left out."""
-        known = {k: v for k, v in values.items() if k in cls.__dataclass_fields__}
-        return cls(**known)  # type: ignore[arg-type]
+        """Read what was stored; entries that this version does not know are left out.
+
+        Raises
+        ------
+        TypeError
+            If a value is of another type.
+        InspectionError
+            See the class.
+        """
+        known: dict[str, Any] = {k: v for k, v in values.items() if k in cls.__dataclass_fields__}
+        for name, value in known.items():
+            kinds = (str,) if name == "serial_number" else (int, float, type(None))
+            if not isinstance(value, kinds) or isinstance(value, bool):
+                raise TypeError(f"{name} is {str(value)[:40]!r}")
+        return cls(**known)

@@ -577,11 +577,14 @@ def test_lines_of_a_damaged_history_that_lead_nowhere_are_not_taken_over(tmp_pat
         source.undo("Ann")
         damaged = sqlite3.connect(tmp_path / "a" / REVIEW_FILE)
         with damaged:
-            triggers = "SELECT name FROM sqlite_master WHERE type = 'trigger'"
-            for (name,) in damaged.execute(triggers).fetchall():
+            triggers = "SELECT name, sql FROM sqlite_master WHERE type = 'trigger'"
+            made = dict(damaged.execute(triggers).fetchall())
+            for name in made:
                 damaged.execute(f"DROP TRIGGER {name}")
             damaged.execute("DELETE FROM masks")
             damaged.execute("DELETE FROM history WHERE \"row\" = 1 AND action = 'edit'")
+            for sql in made.values():
+                damaged.execute(sql)
         damaged.close()
         assert target.merge(source.contents()) == ()
         assert {v.cell: v.kind for v in target.current()} == {(0, 0): VerdictKind.OK}
