@@ -21,6 +21,7 @@ from pv_inspect.concurrency import mapped
 from pv_inspect.crossings import Crossings, FrameCrossings, crossings_of
 from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
+from pv_inspect.frame_copies import copies_told
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Outline, OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.pose_refinement import refined_pose
@@ -66,7 +67,8 @@ def detect(
     """Find the crossing points in every frame.
 
     A frame in which the module is cut by the image border, or whose outline fails, is found again
-    from the nearest frame that succeeded. All frames are brought to the same way up.
+    from the nearest frame that succeeded. All frames are brought to the same way up. Frames that
+    repeat another one are not looked at.
 
     Parameters
     ----------
@@ -93,6 +95,7 @@ def detect(
     """
     count = len(sequence)
     found: dict[int, Found] = {}
+    copied = copies_told(sequence.copies, sequence.names)
     reasons: dict[int, str] = {}
     ambiguous = False
     point = inside
@@ -100,7 +103,8 @@ def detect(
     while index < count:
         # A point goes with the module from frame to frame, and the first find differs.
         together = 1 if inside is not None or not found else 2 * numba.get_num_threads()
-        frames = range(index, min(index + together, count))
+        upto = min(index + together, count)
+        frames = [k for k in range(index, upto) if k not in copied]
         images = [sequence.frame(k).image for k in frames]
         look = partial(_outcome, layout=layout, inside=point, first=not found)
         for k, outcome in zip(frames, mapped(look, images), strict=True):
@@ -114,7 +118,7 @@ def detect(
                     _require_inside(inside, layout, outcome[0])
                 x, y = outcome[0].project(np.array([layout.size]) / 2)[0]
                 point = float(x), float(y)
-        index = frames.stop
+        index = upto
         yield 0.8 * index / count
     for index in sorted(reasons):
         if not found or reasons[index].startswith(("black", "saturated")):
@@ -134,7 +138,9 @@ def detect(
     return Crossings(
         layout,
         tuple(
-            found[index][1] if index in found else FrameCrossings.failed(layout, reasons[index])
+            found[index][1]
+            if index in found
+            else FrameCrossings.failed(layout, copied.get(index) or reasons[index])
             for index in range(count)
         ),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pv_inspect.figures import known_median
+from pv_inspect.frame_copies import copies_sentence
 
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection
@@ -61,12 +62,14 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         total = len(registration.used)
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
+    names, copies = inspection.sequence.names, inspection.sequence.copies
+    found += [sentence for sentence in (copies_sentence(copies, names),) if sentence]
     found += [
         f"{name} is not used: {(why or 'not used').rstrip('.')}."
-        for name, ok, why in zip(
-            inspection.sequence.names, registration.used, registration.why, strict=True
+        for k, (name, ok, why) in enumerate(
+            zip(names, registration.used, registration.why, strict=True)
         )
-        if not ok
+        if not ok and k not in copies
     ]
     return tuple(found)
 

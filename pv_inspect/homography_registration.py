@@ -20,7 +20,7 @@ from pv_inspect.camera import Camera
 from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.registration import LEFT_OUT, Registration, module_mean
+from pv_inspect.registration import Registration, left_out, module_mean
 from pv_inspect.sequence import Frame, Sequence
 from pv_inspect.settings import Settings
 
@@ -89,8 +89,8 @@ def register_by_homography(
     layout = crossings.layout
     points = [_measured(frame.points_px, frame.measured, frame.why) for frame in crossings.frames]
     why = [frame.why or _too_few(p) for frame, p in zip(crossings.frames, points, strict=True)]
-    for index in sequence.indices(settings.skip_frames):
-        why[index] = why[index] or LEFT_OUT
+    for index, reason in left_out(sequence, settings).items():
+        why[index] = why[index] or reason
     reference = _reference(points, why)
     plane = _homography(layout.crossings(), points[reference])
     if plane is None:

@@ -128,8 +128,9 @@ def guess_layout(
     known = _known(sequence, settings or Settings())
     views: list[_View] = []
     reason = "no frame"
-    picks = np.unique(np.linspace(0, len(sequence) - 1, min(len(sequence), 2 * MAX_FRAMES)).round())
-    for index in (int(pick) for pick in picks):
+    distinct = [index for index in range(len(sequence)) if index not in sequence.copies]
+    picks = np.linspace(0, len(distinct) - 1, min(len(distinct), 2 * MAX_FRAMES)).round()
+    for index in (distinct[int(pick)] for pick in np.unique(picks)):
         if len(views) == MAX_FRAMES:
             break
         try:

@@ -18,12 +18,13 @@ from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equation
 from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
+from pv_inspect.frame_copies import copies_told
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.straightening import straighten
 
-__all__ = ["Registration", "module_mean", "register", "unregistered"]
+__all__ = ["Registration", "left_out", "module_mean", "register", "unregistered"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -156,7 +157,7 @@ def register(
     end the homography common to all frames is chosen so that the crossing points stay where this
     fit has them.
     """
-    state = _without_skipped(unregistered(calibration), sequence.indices(settings.skip_frames))
+    state = _without(unregistered(calibration), left_out(sequence, settings))
     if int(state.used.sum()) == 0:
         raise InspectionError(
             f"No frame is left to register ({_first_reason(state.why)}): check rows and cols."
@@ -357,12 +358,18 @@ def _normalised(
     return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
 
 
-def _without_skipped(state: Registration, skipped: list[int]) -> Registration:
-    """Leave out the frames that the user does not want."""
+def left_out(sequence: Sequence, settings: Settings) -> dict[int, str]:
+    """Say why frames are not used whatever they show: copies, and what the user does not want."""
+    skipped = dict.fromkeys(sequence.indices(settings.skip_frames), LEFT_OUT)
+    return copies_told(sequence.copies, sequence.names) | skipped
+
+
+def _without(state: Registration, reasons: dict[int, str]) -> Registration:
+    """Leave out some frames."""
     used, why = state.used.copy(), list(state.why)
-    for index in skipped:
+    for index, reason in reasons.items():
         used[index] = False
-        why[index] = why[index] or LEFT_OUT
+        why[index] = why[index] or reason
     return replace(state, used=used, why=tuple(why))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.frame_copies import FrameContents
 from pv_inspect.frame_files import FrameFile, expand, natural_key, read_frame
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.noise import NoiseModel, estimate_noise
@@ -113,6 +114,9 @@ class Sequence:
         Hot and dead pixels of the sensor.
     opened_from : Path or tuple of Path
         What :meth:`open` was given, absolute: it opens the same frames again.
+    copies : mapping of int to int
+        Frames that repeat another one, bit for bit or with its noise, and that frame. They are no
+        measurements of their own: nothing is estimated from them.
     """
 
     names: tuple[str, ...]
@@ -131,6 +135,7 @@ class Sequence:
     # (height, width) relative response out of a flat frame, 0 where there is none.
     _flat: NDArray[np.float32] | None = field(default=None, repr=False)
     opened_from: Path | tuple[Path, ...] = ()
+    copies: Mapping[int, int] = field(default_factory=dict)
 
     @classmethod
     def open(
@@ -166,7 +171,9 @@ class Sequence:
         files = tuple(file for path in paths for file in expand(path))
         names = _names(files)
         hint = read_sidecar(root, paths)
-        shape, maximum, used_bits = _check(files, names)
+        contents = FrameContents()
+        shape, maximum, used_bits = _check(files, names, contents)
+        copies = contents.copies(lambda index: read_frame(files[index]))
         dtype = read_frame(files[0]).dtype
         dark = None
         if dark_frame is not None:
@@ -175,8 +182,10 @@ class Sequence:
             used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
 
-        picks = np.unique(np.linspace(0, len(files) - 1, min(len(files), _SAMPLE_FRAMES)).round())
-        stack = np.stack([read_frame(files[int(i)]) for i in picks])
+        distinct = [file for index, file in enumerate(files) if index not in copies]
+        n_picks = min(len(distinct), _SAMPLE_FRAMES)
+        picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
+        stack = np.stack([read_frame(distinct[int(i)]) for i in picks])
         defects = defective_pixels(stack, full_scale)
         if dark is None:
             columns = column_offsets(stack, full_scale)
@@ -227,6 +236,7 @@ class Sequence:
             root.absolute()
             if isinstance(source, (str, Path))
             else tuple(path.absolute() for path in paths),
+            copies,
         )
 
     def __len__(self) -> int:
@@ -379,9 +389,9 @@ def _names(files: tuple[FrameFile, ...]) -> tuple[str, ...]:
 
 
 def _check(
-    files: tuple[FrameFile, ...], names: tuple[str, ...]
+    files: tuple[FrameFile, ...], names: tuple[str, ...], contents: FrameContents
 ) -> tuple[tuple[int, int], int, int]:
-    """Decode every frame once; return (shape, maximum, bitwise or of all values)."""
+    """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
     shapes, dtypes = [], []
     maximum, used_bits = 0, 0
     for file in files:
@@ -390,6 +400,7 @@ def _check(
         dtypes.append(image.dtype)
         maximum = max(maximum, int(image.max()))
         used_bits |= int(np.bitwise_or.reduce(image, axis=None))
+        contents.add(image)
     shape = Counter(shapes).most_common(1)[0][0]
     dtype = Counter(dtypes).most_common(1)[0][0]
     for name, other, kind in zip(names, shapes, dtypes, strict=True):

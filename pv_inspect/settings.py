@@ -125,10 +125,11 @@ class Settings(BaseModel):
         (),
         Stage.REGISTER,
         "file",
-        "Names of frames that are used even if they seem to show another module.",
+        "Names of frames that are used even if they seem to show another module; a copy of another "
+        "frame stays a copy.",
     )
     skip_frames: tuple[str, ...] = _tunable(
-        (), Stage.REGISTER, "file", "Names of frames that are left out."
+        (), Stage.REGISTER, "file", "Names of frames that are left out, with their copies."
     )
     registration_model: Literal["camera", "homography"] = _tunable(
         "camera",

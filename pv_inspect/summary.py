@@ -38,8 +38,10 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
     used = registration.used
     rejected = [
         f"  not used: {name}: {why}"
-        for name, ok, why in zip(inspection.sequence.names, used, registration.why, strict=True)
-        if not ok
+        for k, (name, ok, why) in enumerate(
+            zip(inspection.sequence.names, used, registration.why, strict=True)
+        )
+        if not ok and k not in inspection.sequence.copies  # one warning tells of all copies
     ]
     height, width = reconstruction.image.shape
     lines = [

@@ -33,6 +33,7 @@ class FakeSequence:
     source: Path = Path("somewhere/module <7>")
     opened_from: Path = Path("somewhere/module <7>")
     layout_hint: dict[str, float] = field(default_factory=lambda: {"rows": 2, "cols": 3})
+    copies: dict[int, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.names)

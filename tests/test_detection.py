@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -33,6 +33,7 @@ def _in_memory(frames: list[np.ndarray]) -> Any:
     class Frames:
         names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
         shape = frames[0].shape
+        copies: ClassVar[dict[int, int]] = {}
 
         def __len__(self) -> int:
             return len(frames)

@@ -18,6 +18,7 @@ def _in_memory(frames: list[np.ndarray]) -> Any:
     class Frames:
         names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
         layout_hint: ClassVar[dict[str, float]] = {}
+        copies: ClassVar[dict[int, int]] = {}
 
         def __len__(self) -> int:
             return len(frames)
