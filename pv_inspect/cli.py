@@ -155,6 +155,7 @@ def run(
     focal_length: Annotated[float | None, _option("focal_length_px", "--focal-length")] = None,
     calibration: Annotated[Path | None, _option("calibration_file", "--calibration")] = None,
     registration_model: Annotated[str | None, _option("registration_model")] = None,
+    module_of: Annotated[str | None, _option("module_of")] = None,
     keep_frame: Annotated[list[str] | None, _option("keep_frames", "--keep-frame")] = None,
     skip_frame: Annotated[list[str] | None, _option("skip_frames", "--skip-frame")] = None,
     psf_sigma: Annotated[float | None, _option("psf_sigma_lr_px", "--psf-sigma")] = None,
@@ -205,6 +206,7 @@ def run(
             "focal_length_px": focal_length,
             "calibration_file": calibration,
             "registration_model": registration_model,
+            "module_of": module_of,
             "keep_frames": keep_frame,
             "skip_frames": skip_frame,
             "psf_sigma_lr_px": psf_sigma,
@@ -223,7 +225,8 @@ def run(
         _use_threads(threads)
         begun = perf_counter()
         opened = Sequence.open(sequence, settings.dark_frame, settings.flat_frame)
-        opened.indices((*settings.keep_frames, *settings.skip_frames))
+        wanted = [] if settings.module_of is None else [settings.module_of]
+        opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)
         inspection = follow(inspect(opened, settings), quiet=quiet)

@@ -64,6 +64,11 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
     names, copies = inspection.sequence.names, inspection.sequence.copies
     found += [sentence for sentence in (copies_sentence(copies, names),) if sentence]
+    if used > 1 and not registration.comparable:
+        found.append(
+            "The cells look so much alike in these frames that frames of another module would not "
+            "be noticed."
+        )
     found += [
         f"{name} is not used: {(why or 'not used').rstrip('.')}."
         for k, (name, ok, why) in enumerate(

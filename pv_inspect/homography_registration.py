@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.alignment import normal_equations
-from pv_inspect.calibration import conventional_focal_length
+from pv_inspect.calibration import Calibration, conventional_focal_length
 from pv_inspect.camera import Camera
 from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.module_choice import choose_module
 from pv_inspect.registration import Registration, left_out, module_mean
 from pv_inspect.sequence import Frame, Sequence
 from pv_inspect.settings import Settings
@@ -52,7 +53,10 @@ class _Aligned:
 
 
 def register_by_homography(
-    sequence: Sequence, crossings: Crossings, settings: Settings
+    sequence: Sequence,
+    crossings: Crossings,
+    settings: Settings,
+    calibration: Calibration | None = None,
 ) -> Generator[float, None, Registration]:
     """Register every frame to a reference frame by a plain homography.
 
@@ -64,7 +68,9 @@ def register_by_homography(
         frame, the module plane.
     settings : Settings
         ``focal_length_px`` is the gauge if given; pixels do not depend on it. ``skip_frames`` and
-        ``keep_frames`` overrule what is used.
+        ``keep_frames`` overrule what is used, ``module_of`` chooses the module.
+    calibration : Calibration, optional
+        Poses of the frames, by which frames of other modules are told and left out.
 
     Yields
     ------
@@ -79,7 +85,8 @@ def register_by_homography(
     Raises
     ------
     InspectionError
-        If no frame has enough measured crossing points.
+        If no frame has enough measured crossing points, or the frames show several modules and
+        none is shown by most.
 
     Notes
     -----
@@ -87,6 +94,10 @@ def register_by_homography(
     module plane by the direct linear transform; hence H_i = K^-1 W_i G.
     """
     layout = crossings.layout
+    comparable = True
+    if calibration is not None:
+        choice = choose_module(sequence, calibration, settings)
+        crossings, comparable = choice.of_crossings(crossings), choice.comparable
     points = [_measured(frame.points_px, frame.measured, frame.why) for frame in crossings.frames]
     why = [frame.why or _too_few(p) for frame, p in zip(crossings.frames, points, strict=True)]
     for index, reason in left_out(sequence, settings).items():
@@ -130,6 +141,7 @@ def register_by_homography(
         np.ones(count),
         np.zeros(count),
         np.full(count, np.nan),
+        comparable,
     )
     return (yield from _with_photometry(sequence, state))
 
@@ -291,4 +303,5 @@ def _with_photometry(
         np.where(used, gain, 1.0),
         np.where(used, offset, 0.0),
         rms,
+        state.comparable,
     )

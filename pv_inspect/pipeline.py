@@ -334,7 +334,7 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
         _need_a_frame(sequence, _reasons(calibration), state.layout)
         if settings.registration_model == "homography":
             crossings = _present(state.crossings)
-            poses = register_by_homography(sequence, crossings, settings)
+            poses = register_by_homography(sequence, crossings, settings, calibration)
         else:
             poses = register(sequence, calibration, settings)
         return (yield from _told(poses, "registering the frames against the module"))

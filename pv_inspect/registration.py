@@ -20,6 +20,7 @@ from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.frame_copies import copies_told
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.module_choice import choose_module
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.straightening import straighten
@@ -85,6 +86,9 @@ class Registration:
         Photometry; the geometric mean of the gains is 1.
     rms : (n_frames,) float64
         Registration residual (see `figures`): robust, in units of the noise; NaN if not used.
+    comparable : bool
+        Whether frames of another module would have been noticed; False where nothing tells the
+        cells apart.
     """
 
     layout: ModuleLayout
@@ -95,6 +99,7 @@ class Registration:
     gain: Array
     offset: Array
     rms: Array
+    comparable: bool = True
 
     def crossings_px(self, frame: int) -> Array:
         """Crossing points of the layout in one frame: (n_crossings, 2), LR pixels."""
@@ -145,7 +150,7 @@ def register(
     Raises
     ------
     InspectionError
-        If no frame is left.
+        If no frame is left, or the frames show several modules and none is shown by most.
 
     Notes
     -----
@@ -157,7 +162,10 @@ def register(
     end the homography common to all frames is chosen so that the crossing points stay where this
     fit has them.
     """
-    state = _without(unregistered(calibration), left_out(sequence, settings))
+    choice = choose_module(sequence, calibration, settings)
+    calibration = choice.of_calibration(calibration)
+    state = replace(unregistered(calibration), comparable=choice.comparable)
+    state = _without(state, left_out(sequence, settings))
     if int(state.used.sum()) == 0:
         raise InspectionError(
             f"No frame is left to register ({_first_reason(state.why)}): check rows and cols."

@@ -125,6 +125,13 @@ class Settings(BaseModel):
         "Calibration of the camera (YAML, JSON or XML of OpenCV, or a result.json): fixes focal "
         "length, principal point and, unless kappa is given, kappa.",
     )
+    module_of: str | None = _tunable(
+        None,
+        Stage.REGISTER,
+        "file",
+        "Name of a frame that shows the wanted module, where the frames show several; the module "
+        "of most frames if not given.",
+    )
     keep_frames: tuple[str, ...] = _tunable(
         (),
         Stage.REGISTER,

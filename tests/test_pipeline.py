@@ -63,7 +63,7 @@ class Stages:
         self.registered_with = settings
         return self.fractions("register", self.registration)
 
-    def register_by_homography(self, _: Any, crossings: Any, __: Any) -> Any:
+    def register_by_homography(self, _: Any, crossings: Any, *__: Any) -> Any:
         assert crossings is self.crossings
         return self.fractions("by homography", self.registration)
 

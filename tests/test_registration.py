@@ -142,7 +142,7 @@ class _Swapped:
         self._sequence, self._index, self._image = sequence, index, image
         self.shape, self.noise, self.names = sequence.shape, sequence.noise, sequence.names
 
-        self.indices = sequence.indices
+        self.indices, self.copies = sequence.indices, sequence.copies
 
     def __len__(self) -> int:
         return len(self._sequence)
@@ -152,22 +152,29 @@ class _Swapped:
         return replace(frame, image=self._image) if index == self._index else frame
 
 
+def _mirrored(calibration: Calibration, frame: int, shape: tuple[int, int]) -> np.ndarray:
+    """Homographies with one fitted to the crossing points of the mirrored frame."""
+    order = np.arange(LAYOUT.n_crossings).reshape(LAYOUT.rows + 1, -1)[:, ::-1].ravel()
+    pixels = calibration.crossings_px(frame)[order]
+    pixels[:, 0] = shape[1] - 1 - pixels[:, 0]
+    rays = calibration.camera.undistort(calibration.camera.to_normalised(pixels))
+    homographies = calibration.homographies.copy()
+    homographies[frame], _ = cv2.findHomography(LAYOUT.crossings(), rays, 0)
+    return homographies
+
+
 def test_a_frame_of_another_module_is_rejected_with_its_reason(
     scene: tuple[Sequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
-    # The same outline and gaps with the cells of the module upside down: another module.
-    other = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
-    turned = truth.crossings_px(3)[::-1]
-    pixels = np.array([sequence.shape[1] - 1, sequence.shape[0] - 1]) - turned
-    rays = truth.camera.undistort(truth.camera.to_normalised(pixels))
-    H, _ = cv2.findHomography(LAYOUT.crossings(), rays, 0)
-    homographies = truth.homographies.copy()
-    homographies[3] = H
-    calibration = replace(truth, homographies=homographies)
+    # The same outline and gaps with the cells of the module mirrored: another module.
+    other = np.ascontiguousarray(sequence.frame(3).image[:, ::-1])
+    calibration = replace(truth, homographies=_mirrored(truth, 3, sequence.shape))
     registration = result_of(register(_Swapped(sequence, 3, other), calibration, Settings()))
     assert not registration.used[3]
-    assert "does not show the same module" in registration.why[3]
+    assert registration.why[3].startswith(
+        "it shows another module than the 7 frames of the largest group (agreement "
+    )
     assert registration.used.sum() == 7
     assert np.isnan(registration.rms[3])
 
@@ -185,6 +192,23 @@ def test_a_person_may_keep_and_leave_out_frames(
     assert registration.why[1] == "left out as the settings say"
     with pytest.raises(InspectionError, match=r"no frame 'x\.tif' .* frame_000\.tif to"):
         result_of(register(sequence, truth, Settings(skip_frames=("x.tif",))))
+
+
+def test_a_frame_taken_upside_down_is_turned_and_used(
+    scene: tuple[Sequence, Calibration, Any],
+) -> None:
+    sequence, truth, _ = scene
+    upside_down = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
+    # As the detection may have it: the outline alone does not say which way up.
+    pixels = np.array([sequence.shape[1] - 1, sequence.shape[0] - 1]) - truth.crossings_px(3)[::-1]
+    rays = truth.camera.undistort(truth.camera.to_normalised(pixels))
+    homographies = truth.homographies.copy()
+    homographies[3], _ = cv2.findHomography(LAYOUT.crossings(), rays, 0)
+    calibration = replace(truth, homographies=homographies)
+    registration = result_of(register(_Swapped(sequence, 3, upside_down), calibration, Settings()))
+    assert registration.used.all()
+    # The top left crossing of the module is now at the bottom right of that frame.
+    np.testing.assert_allclose(registration.crossings_px(3)[-1], pixels[0], atol=1.0)
 
 
 def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, Any]) -> None:

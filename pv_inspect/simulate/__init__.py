@@ -23,6 +23,13 @@ from pv_inspect.simulate.exposure import (
     project_points,
 )
 from pv_inspect.simulate.files import check_target, write_sequence
+from pv_inspect.simulate.mixture import (
+    SimulatedMixture,
+    mirrored,
+    modules_of_one_make,
+    simulate_mixture,
+    upside_down,
+)
 from pv_inspect.simulate.scene import CellTruth, Scene, render_scene
 from pv_inspect.simulate.settings import SimulationSettings
 
@@ -30,11 +37,16 @@ __all__ = [
     "CellTruth",
     "Pose",
     "Scene",
+    "SimulatedMixture",
     "SimulatedSequence",
     "SimulationSettings",
     "check_target",
+    "mirrored",
+    "modules_of_one_make",
     "simulate",
+    "simulate_mixture",
     "simulated",
+    "upside_down",
     "write_sequence",
 ]
 

@@ -6,6 +6,7 @@ that were made with its own code.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import cv2
@@ -202,6 +203,12 @@ class Exposer:
             distorted = np.hypot(x[None, :], y[part, None])
             scale = undistorted_radius(distorted, settings.kappa) / np.maximum(distorted, 1e-12)
             self._x[part], self._y[part] = x * scale, y[part, None] * scale
+
+    def of(self, scene: Scene) -> Exposer:
+        """Return the same camera in front of another scene."""
+        other = copy(self)
+        other._scene = scene
+        return other
 
     def expose(self, pose: Pose) -> Image:
         """Mean radiance over each pixel during the exposure.
