@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
@@ -18,11 +15,11 @@ from pv_inspect.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection
+from pv_inspect.records import checked, json_from, read_text
+from pv_inspect.result_records import GeometryRecord
 from pv_inspect.sequence import Sequence
 
-__all__ = ["GEOMETRY_JSON", "geometry_record", "places", "read_geometry", "source_record"]
-
-Array = NDArray[np.float64]
+__all__ = ["GEOMETRY_JSON", "exists", "geometry_record", "places", "read_geometry", "source_record"]
 
 GEOMETRY_JSON = "geometry.json"
 
@@ -52,6 +49,14 @@ def places(source: dict[str, Any], folder: Path) -> list[list[Path]]:
     return [place for place in found if place]
 
 
+def exists(path: Path) -> bool:
+    """Whether there is something at a place that may be no place at all."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that is too long, or with a zero in it
+        return False
+
+
 def geometry_record(inspection: Inspection) -> dict[str, Any]:
     """Return crossing points and calibration, which a later run can start from."""
     crossings, calibration = inspection.crossings, inspection.calibration
@@ -69,67 +74,58 @@ def geometry_record(inspection: Inspection) -> dict[str, Any]:
 
 
 def read_geometry(
-    folder: Path, layout: ModuleLayout
+    folder: Path, layout: ModuleLayout, n_frames: int
 ) -> tuple[Crossings | None, Calibration | None]:
     """Read crossing points and calibration of a result folder; None where it has no such file.
 
     Raises
     ------
     InspectionError
-        If the file is damaged.
+        If the file is damaged, or of another layout or number of frames.
     """
     path = folder / GEOMETRY_JSON
-    if not path.is_file():
+    if not path.exists():
         return None, None
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(
-            FrameCrossings(
-                _array(frame["points_px"], (layout.n_crossings, 2)),
-                np.nan_to_num(_array(frame["sigma_px"], (layout.n_crossings,)), nan=np.inf),
-                np.array(frame["measured"], bool),
-                str(frame["why"]),
-                **_marks(frame),
+        record = checked(GeometryRecord, json_from(read_text(path)))
+        if len(record.crossings) != n_frames:
+            raise ValueError(
+                f"crossings has {len(record.crossings)} frames, the result has {n_frames}"
             )
-            for frame in record["crossings"]
-        )
-        fit = record["calibration"]
-        n = len(found)
-        camera = Camera(np.array(record["camera"]["K"], np.float64), record["camera"]["kappa"])
-        sigma = fit["crossing_sigma_px"]
-        calibration = Calibration(
-            layout,
-            camera,
-            _array(fit["homographies"], (n, 3, 3)),
-            np.array(fit["used"], bool),
-            tuple(map(str, fit["why"])),
-            _array(fit["rms_px"], (n,)),
-            bool(fit["focal_convention"]),
-            float(fit["kappa_std"]),
-            None if sigma is None else _array(sigma, (n, layout.n_crossings)),
-        )
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        if (misfit := record.misfit(layout.n_crossings)) is not None:
+            raise ValueError(misfit)
+        camera = Camera(np.array(record.camera.K, np.float64), record.camera.kappa)
+    except (OSError, ValueError, InspectionError) as error:
         raise InspectionError(
             f"{path} is damaged ({error}): run the inspection again, it starts with the detection."
         ) from None
+    found = tuple(
+        FrameCrossings(
+            np.array(frame.points_px, np.float64),
+            np.nan_to_num(np.array(frame.sigma_px, np.float64), nan=np.inf),
+            np.array(frame.measured, bool),
+            frame.why,
+            None if frame.edited is None else np.array(frame.edited, bool),
+        )
+        for frame in record.crossings
+    )
+    fit = record.calibration
+    sigma = fit.crossing_sigma_px
+    calibration = Calibration(
+        layout,
+        camera,
+        np.array(fit.homographies, np.float64),
+        np.array(fit.used, bool),
+        tuple(fit.why),
+        np.array(fit.rms_px, np.float64),
+        fit.focal_convention,
+        np.nan if fit.kappa_std is None else fit.kappa_std,
+        None if sigma is None else np.array(sigma, np.float64),
+    )
     return Crossings(layout, found), calibration
-
-
-def _marks(frame: dict[str, Any]) -> dict[str, Any]:
-    """What is optional in `FrameCrossings`: flags of single points."""
-    optional = (f.name for f in fields(FrameCrossings) if f.default is None)
-    return {k: np.array(frame[k], bool) for k in optional if frame.get(k) is not None}
 
 
 def _place(given: Any, folder: Path) -> list[Path]:
     """Paths of one record, out of the folder where they are relative; empty if unknown."""
     given = given if isinstance(given, list) else [given]
     return [] if None in given else [Path(os.path.normpath(folder / path)) for path in given]
-
-
-def _array(values: Any, shape: tuple[int, ...]) -> Array:
-    """Numbers out of JSON, None being NaN."""
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape:
-        raise ValueError(f"an array of {array.shape} where {shape} is expected")
-    return array

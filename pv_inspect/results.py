@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from pv_inspect import __version__
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
-from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap, OperatingPoint
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import check_replaceable, recovered, replace_folder
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
+from pv_inspect.records import checked, json_from, read_text
 from pv_inspect.report import render_report
+from pv_inspect.result_records import FrameRecord, ResultRecord
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
 
@@ -50,6 +52,8 @@ RESULT_FILES = (
 )
 RESULT_JSON = "result.json"
 CELLS_FOLDER = "cells"
+# A module of 60 cells of 1000 x 1000 px has 60 million.
+_MOST_PIXELS = 2**29
 _TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
 
 
@@ -219,29 +223,26 @@ def read_result(folder: Path) -> Result:
             "`pv-inspect run --out` wrote."
         )
     with _damaged(path):
-        record = json.loads(path.read_text(encoding="utf-8"))
-        made_of = record["layout"]
-        layout = ModuleLayout(made_of["rows"], made_of["cols"], made_of["cell_aspect"])
-        camera = Camera(np.array(record["camera"]["K"], np.float64), record["camera"]["kappa"])
-        frames = tuple(_frame_from(entry) for entry in record["frames"])
-        settings = Settings.create(**record["settings"])
-        x, y = record["origin_px"]
-        ppu, magnification = float(record["pixels_per_cell"][0]), float(record["magnification"])
-        threshold = float(record["crack_threshold"])
-        detector = str(record["crack_detector"])
-        # Results of earlier versions do not say it.
-        extent = record.get("crack_least_extent_cells", OperatingPoint.least_extent_cells)
-        seconds, warnings = dict(record["seconds"]), tuple(record["warnings"])
-        doubts = tuple(map(str, record.get("doubts", ())))
-        made_with = dict(record["versions"])
-        weight, sigma = float(record["prior_weight"]), float(record["psf_sigma_lr_px"])
-    image = _read_image(folder / "module_hr.tif")
-    support = _read_image(folder / "support.tif", image.shape)
-    consistency = _read_image(folder / "consistency.tif", image.shape)
-    probability = _read_image(folder / "cracks.tif", image.shape)
-    grid = HrGrid(layout, ppu, (float(x), float(y)), (len(image), image.shape[1]), magnification)
+        content = json_from(read_text(path))
+        record = checked(ResultRecord, content)
+        layout = ModuleLayout(**record.layout.model_dump())
+        camera = Camera(np.array(record.camera.K, np.float64), record.camera.kappa)
+        settings = Settings.create(**record.settings)
+    grid = HrGrid(
+        layout,
+        record.pixels_per_cell[0],
+        record.origin_px,
+        _shape_of(folder / "module_hr.tif"),
+        record.magnification,
+    )
+    with _damaged(path):
+        _check_place(grid)
+    image = _read_image(folder / "module_hr.tif", grid.shape)
+    support = _read_image(folder / "support.tif", grid.shape, gaps=True)
+    consistency = _read_image(folder / "consistency.tif", grid.shape, gaps=True)
+    probability = _read_image(folder / "cracks.tif", grid.shape)
     with _damaged(folder / "cells.csv"):
-        cells = _cells_from((folder / "cells.csv").read_text(encoding="utf-8"))
+        cells = _cells_from(read_text(folder / "cells.csv"), layout)
     return Result(
         folder,
         image,
@@ -250,19 +251,20 @@ def read_result(folder: Path) -> Result:
         probability,
         grid,
         camera,
-        frames,
+        tuple(map(_frame_from, record.frames)),
         cells,
         settings,
-        threshold,
-        detector,
-        float(extent),
-        seconds,
-        warnings,
-        made_with,
-        weight,
-        sigma,
-        record,
-        doubts,
+        record.crack_threshold,
+        record.crack_detector,
+        record.crack_least_extent_cells,
+        record.seconds,
+        tuple(record.warnings),
+        record.versions,
+        _known(record.prior_weight),
+        _known(record.psf_sigma_lr_px),
+        # With what an earlier version did not say.
+        {**content, **record.model_dump(mode="json")},
+        tuple(record.doubts),
     )
 
 
@@ -420,43 +422,81 @@ def _csv(cells: tuple[CellFeatures, ...]) -> str:
     return text.getvalue()
 
 
-def _read_image(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.float32]:
-    with _damaged(path):
-        image = np.asarray(tifffile.imread(path), np.float32)
-        if image.ndim != 2 or (shape is not None and image.shape != shape):
+def _shape_of(path: Path) -> tuple[int, int]:
+    """Size of the first page of a TIFF, without reading its pixels."""
+    with _damaged(path), tifffile.TiffFile(path) as tif:
+        height, width = tif.pages[0].aspage().shape
+        if height * width > _MOST_PIXELS:
+            raise ValueError(f"it has {width} x {height} px")
+        return height, width
+
+
+def _read_image(path: Path, shape: tuple[int, int], gaps: bool = False) -> NDArray[np.float32]:
+    """Read an image of a known size; ``gaps``: it may have pixels that are not known."""
+    if _shape_of(path) != shape:
+        with _damaged(path):
+            raise ValueError("it is of another size than the module image or its grid")
+    with _damaged(path), tifffile.TiffFile(path) as tif:
+        page = tif.pages[0].aspage()
+        # What is declared but not there would be made up, pixel by pixel.
+        stored, needed = sum(page.databytecounts), shape[0] * shape[1] * 4
+        if page.dtype != np.float32 or stored > path.stat().st_size or 1100 * stored < needed:
+            raise ValueError("it does not hold the pixels that it declares")
+        image = np.asarray(page.asarray(), np.float32)
+        if image.shape != shape:
             raise ValueError(f"its shape is {image.shape}")
+        if np.isinf(image).any() or (not gaps and np.isnan(image).any()):
+            raise ValueError("it has pixels that are no numbers")
     return image
 
 
-def _cells_from(text: str) -> tuple[CellFeatures, ...]:
-    return tuple(
+def _check_place(grid: HrGrid) -> None:
+    """Refuse a grid whose cells do not lie on its image."""
+    rows, cols = grid.layout.rows, grid.layout.cols
+    corners = [grid.cell_slices(0, 0), grid.cell_slices(rows - 1, cols - 1)]
+    (first_y, first_x), (last_y, last_x) = corners
+    height, width = grid.shape
+    if min(first_y.start, first_x.start) < 0 or last_y.stop > height or last_x.stop > width:
+        raise ValueError(
+            f"origin_px and pixels_per_cell put {rows} x {cols} cells beyond the image of {width} "
+            f"x {height} px"
+        )
+
+
+def _cells_from(text: str, layout: ModuleLayout) -> tuple[CellFeatures, ...]:
+    cells = tuple(
         from_texts(int(line["row"]) - 1, int(line["col"]) - 1, line)
         for line in csv.DictReader(io.StringIO(text))
     )
+    if [(cell.row, cell.col) for cell in cells] != list(np.ndindex(layout.rows, layout.cols)):
+        raise ValueError(
+            f"it has not one line for each of {layout.rows} x {layout.cols} cells, row by row"
+        )
+    for cell in cells:
+        for name in ("crack_length_cells", "crack_score", "dark_area_share", "mean_intensity"):
+            if not abs(getattr(cell, name)) < 1e9:
+                raise ValueError(f"row {cell.row + 1}, column {cell.col + 1}: {name} is no number")
+    return cells
 
 
-def _frame_from(entry: dict[str, Any]) -> FrameResult:
-    def array(name: str) -> NDArray[np.float64] | None:
-        return None if entry[name] is None else np.array(entry[name], np.float64)
-
-    def number(name: str) -> float:
-        return float("nan") if entry[name] is None else float(entry[name])
-
+def _frame_from(frame: FrameRecord) -> FrameResult:
+    points = frame.crossings_px
     return FrameResult(
-        str(entry["file"]),
-        bool(entry["used"]),
-        str(entry["why"]),
-        array("crossings_px"),
-        array("H"),
-        number("gain"),
-        number("offset"),
-        number("rms"),
-        number("residual"),
-        {
-            (int(edit["row"]), int(edit["col"])): edit["px"] and (edit["px"][0], edit["px"][1])
-            for edit in entry.get("edits", ())
-        },
+        frame.file,
+        frame.used,
+        frame.why,
+        None if points is None else np.array(points, np.float64).reshape(-1, 2),
+        None if frame.H is None else np.array(frame.H, np.float64),
+        _known(frame.gain),
+        _known(frame.offset),
+        _known(frame.rms),
+        _known(frame.residual),
+        {(edit.row, edit.col): edit.px for edit in frame.edits},
     )
+
+
+def _known(value: float | None) -> float:
+    return float("nan") if value is None else value
 
 
 def _plain(value: Any) -> Any:

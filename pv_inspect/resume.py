@@ -6,7 +6,7 @@ import numpy as np
 
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
-from pv_inspect.origin import places, read_geometry
+from pv_inspect.origin import exists, places, read_geometry
 from pv_inspect.pipeline import Inspection
 from pv_inspect.reconstruction import Reconstruction
 from pv_inspect.registration import Registration
@@ -28,7 +28,7 @@ def reopen(result: Result) -> Sequence:
     """
     source = result.record.get("source", {})
     known = places(source, result.folder)
-    found = [place for place in known if all(path.exists() for path in place)]
+    found = [place for place in known if all(exists(path) for path in place)]
     if not found:
         where = f" at {known[-1][0]}" if known else ""
         raise InspectionError(
@@ -84,8 +84,8 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
         result.image,
         result.support,
         result.grid,
-        float(record["prior_weight"]),
-        float(record["psf_sigma_lr_px"]),
+        result.prior_weight,
+        result.psf_sigma_lr_px,
         tuple(_numbers(record["solver"]["objective"])),
         bool(record["solver"]["converged"]),
         result.consistency,
@@ -97,7 +97,7 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
             for a, b in record["lambda_curve"]
         ),
     )
-    crossings, calibration = read_geometry(result.folder, layout)
+    crossings, calibration = read_geometry(result.folder, layout, len(result.frames))
     seconds = {stage: t for stage, t in result.seconds.items() if stage != "total"}
     return Inspection(
         sequence,

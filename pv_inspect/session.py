@@ -7,10 +7,17 @@ import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.records import Pair, Place, Record, Text, Whole, checked, json_from, read_text
 
 __all__ = ["Session", "read_session", "write_session"]
 
 SESSION_JSON = "session.json"
+_MOST_BYTES = 2**16
 
 
 @dataclass(frozen=True)
@@ -59,16 +66,29 @@ def write_session(session: Session, folder: Path) -> bool:
 
 
 def read_session(folder: Path) -> Session:
-    """Read ``session.json``; the default where there is none or it is damaged."""
+    """Read ``session.json``; the default where there is none.
+
+    Raises
+    ------
+    InspectionError
+        If it is damaged. Nothing but the view is lost.
+    """
+    path = folder / SESSION_JSON
     try:
-        record = json.loads((folder / SESSION_JSON).read_text(encoding="utf-8"))
-        cell, centre, zoom = record["cell"], record["centre"], record["zoom"]
-        return Session(
-            None if cell is None else (int(cell[0]), int(cell[1])),
-            max(0, int(record["frame"])),
-            str(record["page"]),
-            None if centre is None else (float(centre[0]), float(centre[1])),
-            float(zoom) if zoom else None,
-        )
-    except (OSError, ValueError, KeyError, TypeError, IndexError):
+        found = checked(_SessionRecord, json_from(read_text(path, _MOST_BYTES)))
+    except FileNotFoundError:
         return Session()
+    except (OSError, ValueError) as error:
+        raise InspectionError(
+            f"{path} can't be read ({error}): the module is shown as if it was opened for the "
+            "first time."
+        ) from None
+    return Session(found.cell, found.frame, found.page, found.centre, found.zoom or None)
+
+
+class _SessionRecord(Record):
+    cell: tuple[Place, Place] | None
+    frame: Whole
+    page: Text
+    centre: Pair | None
+    zoom: Annotated[float, Field(strict=True, ge=0, le=1e6)] | None

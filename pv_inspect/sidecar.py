@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.records import json_from, read_text
 
 __all__ = ["read_sidecar"]
+
+_MOST_BYTES = 2**20
 
 
 def read_sidecar(root: Path, paths: list[Path]) -> dict[str, Any]:
@@ -51,7 +53,7 @@ def _sidecars(root: Path, paths: list[Path]) -> list[Path]:
 
 def _parse_sidecar(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_from(read_text(path, _MOST_BYTES))
     except (OSError, ValueError) as error:
         raise InspectionError(
             f"{path} can't be read as JSON ({error}): correct it or remove it."

@@ -11,12 +11,14 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import replace_file
+from pv_inspect.records import Place, Record, Text, Whole, checked, json_from
 from pv_inspect.settings import Settings
 
 __all__ = ["KeptTrial", "read_trials", "worth_keeping", "write_trials"]
@@ -104,16 +106,24 @@ def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
     path = folder / TRIALS_NPZ
     try:
         # Somebody else's file must not fill the memory.
+        if path.exists() and not path.is_file():
+            raise ValueError("it is no file")
         if path.stat().st_size > 2 * MOST_BYTES:
             raise ValueError("too large")
         with zipfile.ZipFile(path) as file:
             if sum(entry.file_size for entry in file.infolist()) > 2 * MOST_BYTES:
                 raise ValueError("too large")
         with np.load(path, allow_pickle=False) as file:
-            about = json.loads(str(file["about"]))
-            return tuple(
-                _trial(record, file[f"picture_{k}"]) for k, record in enumerate(about[:MOST])
+            about = json_from(str(file["about"]))
+            if not isinstance(about, list):
+                raise TypeError("its list of trials is none")
+            found = tuple(
+                _trial(checked(_TrialRecord, record), file[f"picture_{k}"])
+                for k, record in enumerate(about[:MOST])
             )
+            if len({trial.number for trial in found}) < len(found):
+                raise ValueError("two trials have the same number")
+            return found
     except FileNotFoundError:
         return ()
     except Exception as error:  # a file from elsewhere can be wrong in any way, and is only a list
@@ -123,19 +133,24 @@ def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
         ) from None
 
 
-def _trial(record: dict[str, object], picture: NDArray[np.generic]) -> KeptTrial:
+class _TrialRecord(Record):
+    number: Whole
+    settings: dict[str, Any]
+    cell: tuple[Place, Place]
+    caption: Text
+    text: Text
+    name: Text
+
+
+def _trial(record: _TrialRecord, picture: NDArray[np.generic]) -> KeptTrial:
     if picture.ndim != 2 or picture.dtype != np.float16 or min(picture.shape) < 1:
         raise ValueError("a picture is none")
-    settings, cell = record["settings"], record["cell"]
-    if not isinstance(settings, dict) or not isinstance(cell, list):
-        raise TypeError("settings or cell are missing")
-    row, col = (int(value) for value in cell)
     return KeptTrial(
-        int(str(record["number"])),
-        Settings.create(**settings),
+        record.number,
+        Settings.create(**record.settings),
         np.nan_to_num(picture.astype(np.float32)),
-        (row, col),
-        str(record["caption"]),
-        str(record["text"]),
-        str(record["name"]),
+        record.cell,
+        record.caption,
+        record.text,
+        record.name,
     )

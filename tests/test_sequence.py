@@ -269,7 +269,7 @@ def test_tiny_frames_are_refused(tmp_path: Path) -> None:
         ('{"rows": true}', "rows is True, but a whole number"),
         ('{"cols": 0}', "cols is 0, but a whole number"),
         ('{"cell_aspect": 99}', "cell_aspect is 99, but cell width / cell height"),
-        ('{"cell_aspect": NaN}', "cell_aspect is nan, but cell width / cell height"),
+        ('{"cell_aspect": NaN}', "it holds NaN, which is no number"),
     ],
 )
 def test_a_wrong_sidecar_is_named_with_its_key(folder: Path, content: str, expected: str) -> None:

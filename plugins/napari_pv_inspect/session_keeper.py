@@ -10,6 +10,7 @@ from qtpy.QtCore import QObject, QTimer
 
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.model import WorkbenchModel
+from pv_inspect.errors import InspectionError
 from pv_inspect.results import Result
 from pv_inspect.session import Session, read_session, write_session
 
@@ -57,7 +58,11 @@ class SessionKeeper(QObject):
 
     def resume(self, result: Result) -> None:
         """Show what was looked at when this result was last open."""
-        session = read_session(result.folder)
+        try:
+            session = read_session(result.folder)
+        except InspectionError as error:
+            session = Session()
+            self._model.notice(str(error), is_error=True)
         self.folder = result.folder
         layout = result.grid.layout
         if session.cell is not None:
