@@ -165,6 +165,8 @@ def run(
     cell_width_mm: Annotated[float | None, _option("cell_width_mm")] = None,
     dark_frame: Annotated[Path | None, _option("dark_frame")] = None,
     flat_frame: Annotated[Path | None, _option("flat_frame")] = None,
+    max_frame_mpx: Annotated[float | None, _option("max_frame_mpx")] = None,
+    max_frames: Annotated[int | None, _option("max_frames")] = None,
     second_look: Annotated[
         bool | None, _option("second_look", "--second-look/--no-second-look")
     ] = None,
@@ -213,6 +215,8 @@ def run(
             "motion_blur": motion_blur,
             "dark_frame": dark_frame,
             "flat_frame": flat_frame,
+            "max_frame_mpx": max_frame_mpx,
+            "max_frames": max_frames,
             "second_look": second_look,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,
@@ -224,7 +228,8 @@ def run(
         check_writable(out)
         _use_threads(threads)
         begun = perf_counter()
-        opened = Sequence.open(sequence, settings.dark_frame, settings.flat_frame)
+        references = settings.dark_frame, settings.flat_frame
+        opened = Sequence.open(sequence, *references, settings.read_limits)
         wanted = [] if settings.module_of is None else [settings.module_of]
         opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
@@ -250,6 +255,7 @@ def cracks(
     crack_threshold: Annotated[float | None, _option("crack_threshold")] = None,
     detector: Annotated[str | None, _option("detector")] = None,
     cell_width_mm: Annotated[float | None, _option("cell_width_mm")] = None,
+    max_frame_mpx: Annotated[float | None, _option("max_frame_mpx")] = None,
     model: cli_cracks.Model = None,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -264,6 +270,7 @@ def cracks(
             "crack_threshold": crack_threshold,
             "detector": detector,
             "cell_width_mm": cell_width_mm,
+            "max_frame_mpx": max_frame_mpx,
         }
         settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
         if not cli_cracks.cracks_of(images, out, settings, model, quiet=quiet):

@@ -52,7 +52,7 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     layout, registration = inspection.layout, inspection.registration
     assert registration is not None
     used = int(registration.used.sum())
-    found = []
+    found = list(inspection.sequence.warnings)
     if inspection.layout_guessed:
         found.append(
             f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "

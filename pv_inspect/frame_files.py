@@ -2,51 +2,57 @@
 
 from __future__ import annotations
 
-import logging
 import re
-import threading
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import Any, TypeAlias, cast
 
-import cv2
 import numpy as np
-import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.png import png_header, png_pixels
+from pv_inspect.image_files.problems import ImageFileError
+from pv_inspect.image_files.regular import FileState, file_state, open_regular
+from pv_inspect.image_files.tiff import page_at, page_offsets
+from pv_inspect.image_files.tiff_pixels import page_pixels
 
-__all__ = ["FrameFile", "expand", "natural_key", "read_frame"]
+__all__ = ["FrameFile", "expand", "natural_key", "read_floats", "read_frame"]
 
 Pixels: TypeAlias = NDArray[np.unsignedinteger]
-
-# A broken file is reported once, as an InspectionError, not on stderr as well.
-logging.getLogger("tifffile").addHandler(logging.NullHandler())
-
-# tifffile needs a further package for these; OpenCV has them built in.
-_READ_BY_OPENCV = (tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.JPEG)
-_opencv_log = threading.Lock()
-
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 @dataclass(frozen=True)
 class FrameFile:
-    """Where one frame lies.
+    """Where one frame lies, and what its header says.
 
     Parameters
     ----------
     path : Path
     page : int
-        Index of the TIFF page; 0 for other files.
+        Index of the TIFF page among the pictures of the file; 0 for other files.
     single : bool
         Whether this is the only frame of the file.
+    shape : tuple of int
+        (height, width), px.
+    dtype : dtype
+        Type of the values.
+    offset : int
+        Where the header of the TIFF page lies.
+    state : FileState
+        State of the file when it was listed.
+    limits : ReadLimits
     """
 
     path: Path
-    page: int = 0
-    single: bool = True
+    page: int
+    single: bool
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    offset: int
+    state: FileState
+    limits: ReadLimits
 
     def label(self, name: str) -> str:
         """Name of the frame, given the name of its file."""
@@ -63,24 +69,47 @@ def natural_key(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(p)) if p.isdecimal() else (1, p) for p in parts]
 
 
-def expand(path: Path) -> list[FrameFile]:
+def expand(path: Path, limits: ReadLimits | None = None) -> list[FrameFile]:
     """List the frames of a file: the pages of a TIFF (thumbnails left out), else the file.
+
+    Only headers are read.
+
+    Parameters
+    ----------
+    path : Path
+    limits : ReadLimits, optional
+        What is read at most; the default limits if not given.
 
     Raises
     ------
     InspectionError
-        If the file can't be read as TIFF or holds no picture.
+        If the file can't be read as TIFF or PNG, holds no picture, or one that is too large.
     """
-    if path.suffix.lower() == ".png":
-        return [FrameFile(path)]
+    limits = limits or ReadLimits()
     try:
-        with tifffile.TiffFile(path) as tif:
-            pages = [k for k, page in enumerate(tif.pages) if not page.aspage().subfiletype & 1]
-    except Exception as error:  # whatever a parser throws at a broken file
-        raise _unreadable(path.name, error) from None
-    if not pages:
-        raise _unreadable(path.name, ValueError("there is no picture in it"))
-    return [FrameFile(path, page, len(pages) == 1) for page in pages]
+        state = file_state(path)
+        with open_regular(path, state) as file:
+            if _is_png(path):
+                png = png_header(file, limits)
+                shape = png.height, png.width
+                return [FrameFile(path, 0, True, shape, png.dtype, 0, state, limits)]
+            offsets = page_offsets(file, limits.max_frames)
+            pages = [page_at(file, offset, limits) for offset in offsets]
+    except ImageFileError as problem:
+        raise InspectionError(f"{path.name} {problem}") from None
+    return [
+        FrameFile(
+            path,
+            k,
+            len(pages) == 1,
+            (page.height, page.width),
+            page.dtype.newbyteorder("="),
+            offset,
+            state,
+            limits,
+        )
+        for k, (page, offset) in enumerate(zip(pages, offsets, strict=True))
+    ]
 
 
 def read_frame(file: FrameFile) -> Pixels:
@@ -93,98 +122,62 @@ def read_frame(file: FrameFile) -> Pixels:
     Raises
     ------
     InspectionError
-        If it can't be decoded, is coloured, or has another type than 8 or 16 bits unsigned.
+        If it can't be decoded, is coloured, has another type than 8 or 16 bits unsigned, or has
+        changed since it was listed.
     """
     name = file.label(file.path.name)
-    try:
-        image = _decode_png(file.path) if file.path.suffix.lower() == ".png" else _decode_tiff(file)
-    except Exception as error:  # whatever a decoder throws at a broken file
-        raise _unreadable(name, error) from None
-    if image.dtype not in (np.uint8, np.uint16):
+    if file.dtype not in (np.uint8, np.uint16):
         raise InspectionError(
-            f"{name} holds {image.dtype} values, but frames are 8- or 16-bit unsigned: export "
+            f"{name} holds {file.dtype} values, but frames are 8- or 16-bit unsigned: export "
             "what the camera delivered, without scaling."
         )
-    return _grey(image, name)
+    return cast(Pixels, _grey(_decoded(file), name))
 
 
-def _grey(image: Pixels, name: str) -> Pixels:
-    if image.ndim == 3 and image.shape[2] in (3, 4):
-        colours = image[..., :3]
-        if np.all(colours == colours[..., :1]):
-            return np.ascontiguousarray(colours[..., 0])
+def read_floats(file: FrameFile) -> NDArray[np.floating]:
+    """Read one frame of floating-point values, for instance a result.
+
+    Returns
+    -------
+    (height, width) in the type of the file
+
+    Raises
+    ------
+    InspectionError
+        If it can't be decoded, is coloured, or holds whole numbers.
+    """
+    name = file.label(file.path.name)
+    if file.dtype.kind != "f":
         raise InspectionError(
-            f"{name} is a colour image, but luminescence frames have one grey channel: export it "
-            "as grey, without a colour map."
+            f"{name} holds {file.dtype} values, but floating-point values are expected: give the "
+            "file that pv-inspect wrote."
         )
-    if image.ndim != 2 or image.size == 0:
-        raise InspectionError(
-            f"{name} has the shape {image.shape}, but a frame is height x width: save every frame "
-            "as its own page or file."
-        )
+    return cast("NDArray[np.floating]", _grey(_decoded(file), name))
+
+
+def _is_png(path: Path) -> bool:
+    return path.suffix.lower() == ".png"
+
+
+def _decoded(file: FrameFile) -> NDArray[Any]:
+    try:
+        with open_regular(file.path, file.state) as opened:
+            if _is_png(file.path):
+                image = png_pixels(opened, png_header(opened, file.limits))
+            else:
+                image = page_pixels(opened, file.offset, file.limits)
+    except ImageFileError as problem:
+        raise InspectionError(f"{file.label(file.path.name)} {problem}") from None
     return image
 
 
-def _decode_tiff(file: FrameFile) -> Pixels:
-    with tifffile.TiffFile(file.path) as tif:
-        page = tif.pages[file.page].aspage()
-        ends = [o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)]
-        if not ends or max(ends) > tif.filehandle.size:
-            raise ValueError("the file ends too early")
-        image: Pixels
-        if page.compression in _READ_BY_OPENCV:
-            image = _decode_with_opencv(file)
-        else:
-            image = page.asarray()
-            image = image.astype(image.dtype.newbyteorder("="), copy=False)
-            if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
-                image = np.invert(image)
+def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
+    if image.ndim == 2:
         return image
-
-
-def _decode_with_opencv(file: FrameFile) -> Pixels:
-    data = np.frombuffer(file.path.read_bytes(), np.uint8)
-    with _opencv_log:
-        level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-        try:
-            whole, images = cv2.imdecodemulti(
-                data, cv2.IMREAD_UNCHANGED, range=(file.page, file.page + 1)
-            )
-        finally:
-            cv2.utils.logging.setLogLevel(level)
-    if not whole or len(images) != 1:
-        raise ValueError("its compressed pixels are damaged")
-    return cast(Pixels, images[0])
-
-
-def _decode_png(path: Path) -> Pixels:
-    data = path.read_bytes()
-    _check_png(data)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError("no image in it")
-    return cast(Pixels, image)
-
-
-def _check_png(data: bytes) -> None:
-    """Check signature and checksums: the decoder would fill a cut file with zeros."""
-    if not data.startswith(_PNG_SIGNATURE):
-        raise ValueError("no PNG signature")
-    at = len(_PNG_SIGNATURE)
-    kind = b""
-    while kind != b"IEND":
-        length = int.from_bytes(data[at : at + 4])
-        kind, end = data[at + 4 : at + 8], at + 8 + length
-        if end + 4 > len(data):
-            raise ValueError("the file ends too early")
-        if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4]):
-            raise ValueError("a checksum is wrong")
-        at = end + 4
-
-
-def _unreadable(name: str, error: Exception) -> InspectionError:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return InspectionError(
-        f"{name} can't be read ({reason}): copy it again from the camera or remove it."
+    grey = np.ascontiguousarray(image[..., 0])
+    if all(np.array_equal(grey, image[..., k]) for k in (1, 2)):
+        return grey
+    raise InspectionError(
+        f"{name} is a colour image, but luminescence frames have one grey channel: export it "
+        "as grey, without a colour map."
     )

@@ -40,6 +40,7 @@ def reopen(result: Result) -> Sequence:
         found[0] if isinstance(given, list) else found[0][0],
         result.settings.dark_frame,
         result.settings.flat_frame,
+        result.settings.read_limits,
     )
     names = tuple(frame.file for frame in result.frames)
     if opened.names != names:

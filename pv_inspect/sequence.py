@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, printable
 from pv_inspect.frame_copies import FrameContents
-from pv_inspect.frame_files import FrameFile, expand, natural_key, read_frame
+from pv_inspect.frame_files import FrameFile, expand, read_frame
+from pv_inspect.frame_list import existing_image, list_frames
+from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.noise import NoiseModel, estimate_noise
 from pv_inspect.sensor import (
@@ -33,7 +35,6 @@ __all__ = ["Frame", "NoiseModel", "Sequence"]
 
 Raw = NDArray[np.unsignedinteger]
 
-_SUFFIXES = frozenset({".tif", ".tiff", ".png"})
 _SMALLEST_SIDE_PX = 32
 # Frames that the sensor's properties are estimated from; more add time, not knowledge.
 _SAMPLE_FRAMES = 24
@@ -117,6 +118,8 @@ class Sequence:
     copies : mapping of int to int
         Frames that repeat another one, bit for bit or with its noise, and that frame. They are no
         measurements of their own: nothing is estimated from them.
+    warnings : tuple of str
+        What is worth knowing about the files.
     """
 
     names: tuple[str, ...]
@@ -136,6 +139,7 @@ class Sequence:
     _flat: NDArray[np.float32] | None = field(default=None, repr=False)
     opened_from: Path | tuple[Path, ...] = ()
     copies: Mapping[int, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def open(
@@ -143,6 +147,7 @@ class Sequence:
         source: Path | str | Iterable[Path | str],
         dark_frame: Path | str | None = None,
         flat_frame: Path | str | None = None,
+        limits: ReadLimits | None = None,
     ) -> Sequence:
         """Open frames and check all of them.
 
@@ -156,28 +161,27 @@ class Sequence:
             Image taken without current with the same camera and exposure.
         flat_frame : path, optional
             Image of an evenly bright surface taken with the same camera and lens.
+        limits : ReadLimits, optional
+            What is read at most, `Settings.read_limits`; the default limits if not given.
 
         Raises
         ------
         InspectionError
             If anything is missing, unreadable, of different sizes or of the wrong type.
         """
-        try:
-            root, paths = _find(source)
-        except OSError as error:
-            raise InspectionError(
-                f"{source} can't be read ({error.strerror}): check its permissions."
-            ) from None
-        files = tuple(file for path in paths for file in expand(path))
-        names = _names(files)
-        hint = read_sidecar(root, paths)
+        limits = limits or ReadLimits()
+        if not isinstance(source, (str, Path)):
+            source = list(source)
+        found = list_frames(source, limits)
+        root, files, names = found.root, found.files, found.names
+        hint = read_sidecar(root, list(found.paths))
         contents = FrameContents()
         shape, maximum, used_bits = _check(files, names, contents)
         copies = contents.copies(lambda index: read_frame(files[index]))
-        dtype = read_frame(files[0]).dtype
+        dtype = files[0].dtype
         dark = None
         if dark_frame is not None:
-            dark = _read_reference(Path(dark_frame), "dark", shape, dtype)
+            dark = _read_reference(Path(dark_frame), "dark", shape, dtype, limits)
             maximum = max(maximum, int(dark.max()))
             used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
@@ -203,7 +207,7 @@ class Sequence:
         defects.flags.writeable = False
         flat = None
         if flat_frame is not None:
-            exposed = _read_reference(Path(flat_frame), "flat", shape, dtype)
+            exposed = _read_reference(Path(flat_frame), "flat", shape, dtype, limits)
             try:
                 flat = flat_field(exposed, black, full_scale)
             except ValueError as error:
@@ -235,8 +239,9 @@ class Sequence:
             flat,
             root.absolute()
             if isinstance(source, (str, Path))
-            else tuple(path.absolute() for path in paths),
+            else tuple(path.absolute() for path in found.paths),
             copies,
+            found.warnings,
         )
 
     def __len__(self) -> int:
@@ -279,13 +284,14 @@ class Sequence:
             If there is no such frame.
         """
         where = {name: index for index, name in enumerate(self.names)}
-        unknown = [name for name in names if name not in where]
+        wanted = [printable(name) for name in names]
+        unknown = [name for name in wanted if name not in where]
         if unknown:
             raise InspectionError(
-                f"There is no frame {unknown[0]!r} in {self.source}: its frames are called "
+                f"There is no frame '{unknown[0]}' in {self.source}: its frames are called "
                 f"{self.names[0]} to {self.names[-1]}."
             )
-        return [where[name] for name in names]
+        return [where[name] for name in wanted]
 
     def layout(self, settings: Settings) -> ModuleLayout:
         """Return the module's layout; settings win over ``module.json``.
@@ -327,111 +333,51 @@ def _prepare(
     return Frame(image, valid)
 
 
-def _find(source: Path | str | Iterable[Path | str]) -> tuple[Path, list[Path]]:
-    """Resolve what the user gave to (source, image files in order)."""
-    if not isinstance(source, (str, Path)):
-        paths = [Path(p) for p in source]
-        if not paths:
-            raise InspectionError("The list of frames is empty: give at least one TIFF or PNG.")
-        seen: set[Path] = set()
-        for path in paths:
-            if path.resolve() in seen:
-                raise InspectionError(
-                    f"{path} is in the list of frames twice: a frame counts once, remove the copy."
-                )
-            seen.add(path.resolve())
-        return paths[0].parent, [_existing_image(p) for p in paths]
-    path = Path(source)
-    if path.is_dir():
-        inner = path / "frames"
-        folder = inner if inner.is_dir() and _images_in(inner) else path
-        images = _images_in(folder)
-        if not images:
-            raise InspectionError(
-                f"{path} holds no TIFF or PNG image: give the folder that the frames are in."
-            )
-        return path, images
-    if not path.exists():
-        raise InspectionError(
-            f"{path} does not exist: give a folder of frames, a TIFF with several pages, or a "
-            "list of images."
-        )
-    return path, [_existing_image(path)]
-
-
-def _existing_image(path: Path) -> Path:
-    if not path.is_file():
-        raise InspectionError(f"{path} is no existing file: correct its name or leave it out.")
-    if path.suffix.lower() not in _SUFFIXES:
-        raise InspectionError(
-            f"{path} is no TIFF or PNG file: convert it losslessly to one of them."
-        )
-    return path
-
-
-def _images_in(folder: Path) -> list[Path]:
-    images = [
-        p
-        for p in folder.iterdir()
-        if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".") and p.is_file()
-    ]
-    return sorted(images, key=lambda p: natural_key(p.name))
-
-
-def _names(files: tuple[FrameFile, ...]) -> tuple[str, ...]:
-    """File names, with as many parent folders as it takes to tell the frames apart."""
-    depth = 1
-    while True:
-        names = tuple(f.label("/".join(f.path.resolve().parts[-depth:])) for f in files)
-        if len(set(names)) == len(names):
-            return names
-        depth += 1
-
-
 def _check(
     files: tuple[FrameFile, ...], names: tuple[str, ...], contents: FrameContents
 ) -> tuple[tuple[int, int], int, int]:
     """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
-    shapes, dtypes = [], []
+    shape = Counter(file.shape for file in files).most_common(1)[0][0]
+    dtype = Counter(file.dtype for file in files).most_common(1)[0][0]
     maximum, used_bits = 0, 0
-    for file in files:
-        image = read_frame(file)
-        shapes.append((image.shape[0], image.shape[1]))
-        dtypes.append(image.dtype)
-        maximum = max(maximum, int(image.max()))
-        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
-        contents.add(image)
-    shape = Counter(shapes).most_common(1)[0][0]
-    dtype = Counter(dtypes).most_common(1)[0][0]
-    for name, other, kind in zip(names, shapes, dtypes, strict=True):
-        if other != shape:
+    # What the headers say comes first: nothing is decoded in vain.
+    for name, file in zip(names, files, strict=True):
+        if file.shape != shape:
             raise InspectionError(
-                f"{name} is {other[1]} x {other[0]}, the sequence is {shape[1]} x {shape[0]}: "
-                "remove it or load it as its own sequence."
+                f"{name} is {file.shape[1]} x {file.shape[0]}, the sequence is {shape[1]} x "
+                f"{shape[0]}: remove it or load it as its own sequence."
             )
-        if kind != dtype:
+        if file.dtype != dtype:
             raise InspectionError(
-                f"{name} has {8 * kind.itemsize} bits, the sequence has {8 * dtype.itemsize}: "
-                "remove it or export all frames alike."
+                f"{name} has {8 * file.dtype.itemsize} bits, the sequence has "
+                f"{8 * dtype.itemsize}: remove it or export all frames alike."
             )
     if min(shape) < _SMALLEST_SIDE_PX:
         raise InspectionError(
             f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
             f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
         )
+    for file in files:
+        image = read_frame(file)
+        maximum = max(maximum, int(image.max()))
+        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
+        contents.add(image)
     return shape, maximum, used_bits
 
 
-def _read_reference(path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any]) -> Raw:
+def _read_reference(
+    path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any], limits: ReadLimits
+) -> Raw:
     """Read a dark or flat frame, the median of its pages."""
-    pages = [read_frame(file) for file in expand(_existing_image(path))]
-    for page in pages:
-        if page.shape != shape or page.dtype != dtype:
+    files = expand(existing_image(path), limits)
+    for file in files:
+        if file.shape != shape or file.dtype != dtype:
             raise InspectionError(
-                f"The {kind} frame {path} is {page.shape[1]} x {page.shape[0]} with "
-                f"{8 * page.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
+                f"The {kind} frame {path} is {file.shape[1]} x {file.shape[0]} with "
+                f"{8 * file.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
                 f"{8 * dtype.itemsize}: take it with the same camera settings."
             )
+    pages = [read_frame(file) for file in files]
     if len(pages) == 1:
         return pages[0]
     median: Raw = temporal_median(np.stack(pages)).astype(dtype)

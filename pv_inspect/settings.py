@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.config import JsonDict
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
 
 __all__ = ["Settings", "Stage"]
 
@@ -100,6 +101,23 @@ class Settings(BaseModel):
         "file",
         "Image of an evenly bright surface through the same lens at the same aperture: every frame "
         "is divided by it.",
+    )
+    max_frame_mpx: Finite = _tunable(
+        MAX_FRAME_MPX,
+        Stage.LOAD,
+        "Mpx",
+        "Largest picture that is read; a file that claims more is refused before memory is taken "
+        "for it.",
+        ge=0.01,
+        le=2000,
+    )
+    max_frames: int = _tunable(
+        MAX_FRAMES,
+        Stage.LOAD,
+        "frames",
+        "Largest number of frames that is read as one sequence.",
+        ge=1,
+        le=100_000,
     )
     kappa: Finite | None = _tunable(
         None,
@@ -292,6 +310,11 @@ class Settings(BaseModel):
     def changed(self, **values: Any) -> Settings:
         """Return a validated copy with some values changed."""
         return Settings.create(**{**self.model_dump(), **values})
+
+    @property
+    def read_limits(self) -> ReadLimits:
+        """What is read at most, for `Sequence.open`."""
+        return ReadLimits(self.max_frame_mpx, self.max_frames)
 
     @classmethod
     def unit_of(cls, name: str) -> str:

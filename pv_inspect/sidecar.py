@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.image_files.problems import ImageFileError
+from pv_inspect.image_files.regular import file_state
 from pv_inspect.records import json_from, read_text
 
 __all__ = ["read_sidecar"]
 
+# A note of three numbers and some remarks.
 _MOST_BYTES = 2**20
 
 
@@ -32,10 +36,10 @@ def read_sidecar(root: Path, paths: list[Path]) -> dict[str, Any]:
     Raises
     ------
     InspectionError
-        If the file is no JSON object or a value is not what it should be.
+        If the file can't be read, is no JSON object, or a value is not what it should be.
     """
     for candidate in _sidecars(root, paths):
-        if candidate.is_file():
+        if os.path.lexists(candidate):
             return _parse_sidecar(candidate)
     return {}
 
@@ -53,7 +57,10 @@ def _sidecars(root: Path, paths: list[Path]) -> list[Path]:
 
 def _parse_sidecar(path: Path) -> dict[str, Any]:
     try:
+        file_state(path)
         content = json_from(read_text(path, _MOST_BYTES))
+    except ImageFileError as problem:
+        raise InspectionError(f"{path} {problem}") from None
     except (OSError, ValueError) as error:
         raise InspectionError(
             f"{path} can't be read as JSON ({error}): correct it or remove it."
@@ -69,7 +76,7 @@ def _parse_sidecar(path: Path) -> dict[str, Any]:
             continue
         if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 200:
             raise InspectionError(
-                f"{path}: {key} is {value!r}, but a whole number from 1 to 200 is expected: "
+                f"{path}: {key} is {_shown(value)}, but a whole number from 1 to 200 is expected: "
                 "correct it."
             )
         hint[key] = value
@@ -78,8 +85,17 @@ def _parse_sidecar(path: Path) -> dict[str, Any]:
         number = isinstance(aspect, (int, float)) and not isinstance(aspect, bool)
         if not (number and 0.1 <= aspect <= 10):
             raise InspectionError(
-                f"{path}: cell_aspect is {aspect!r}, but cell width / cell height between 0.1 "
-                "and 10 is expected: correct it."
+                f"{path}: cell_aspect is {_shown(aspect)}, but cell width / cell height between "
+                "0.1 and 10 is expected: correct it."
             )
         hint["cell_aspect"] = float(aspect)
     return hint
+
+
+def _shown(value: object) -> str:
+    """Show a wrong value, whatever it is, in a few characters."""
+    try:
+        text = repr(value)
+    except RecursionError:
+        return f"a {type(value).__name__}"
+    return text if len(text) <= 60 else f"{text[:50]} ..."

@@ -32,6 +32,7 @@ class FakeSequence:
     shape: tuple[int, int] = (60, 80)
     source: Path = Path("somewhere/module <7>")
     opened_from: Path = Path("somewhere/module <7>")
+    warnings: tuple[str, ...] = ()
     layout_hint: dict[str, float] = field(default_factory=lambda: {"rows": 2, "cols": 3})
     copies: dict[int, int] = field(default_factory=dict)
 

@@ -61,7 +61,7 @@ def open_any(path: Any, settings: Settings) -> Opened:
     if isinstance(path, (str, Path)) and reader.get_reader(path) is reader.read_result:
         return open_result(read_result(Path(path)))
     references = (settings.dark_frame, settings.flat_frame)
-    return Opened(open_sequence(path, *references), references=references)
+    return Opened(open_sequence(path, *references, settings.read_limits), references=references)
 
 
 def open_result(result: Result) -> Opened:
@@ -79,7 +79,9 @@ def open_again(sequence: Sequence, settings: Settings) -> Opened:
     """Read the same frames with other reference images."""
     references = (settings.dark_frame, settings.flat_frame)
     given = sequence.opened_from or sequence.source
-    return Opened(open_sequence(given, *references), references=references, again=True)
+    return Opened(
+        open_sequence(given, *references, settings.read_limits), references=references, again=True
+    )
 
 
 class Opener(QObject):

@@ -24,6 +24,7 @@ from napari_pv_inspect.appearance import (
 from napari_pv_inspect.reader import LayerData
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import CrackMap
+from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.results import Result, read_result
 from pv_inspect.sequence import Sequence
 
@@ -45,7 +46,10 @@ PART_KEY = "pv_inspect.part"
 
 
 def open_sequence(
-    path: Any, dark_frame: Path | None = None, flat_frame: Path | None = None
+    path: Any,
+    dark_frame: Path | None = None,
+    flat_frame: Path | None = None,
+    limits: ReadLimits | None = None,
 ) -> Sequence:
     """Open one path, or a list of frames, with the reference images of the camera if given.
 
@@ -55,7 +59,7 @@ def open_sequence(
         If the frames are no usable sequence.
     """
     given = path if isinstance(path, (str, Path)) else [Path(p) for p in path]
-    return Sequence.open(given, dark_frame, flat_frame)
+    return Sequence.open(given, dark_frame, flat_frame, limits)
 
 
 def lazy_stack(sequence: Sequence) -> da.Array:

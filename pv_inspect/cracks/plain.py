@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
@@ -17,7 +16,10 @@ from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_files import FrameFile, expand, natural_key, read_frame
+from pv_inspect.frame_files import expand, natural_key, read_floats, read_frame
+from pv_inspect.image_files.jpeg import read_photo
+from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.problems import ImageFileError
 from pv_inspect.settings import Settings
 
 __all__ = ["PlainCell", "cells_csv", "image_files", "read_cell", "read_plain_cell", "tiff_bytes"]
@@ -84,13 +86,15 @@ def image_files(given: Iterable[Path]) -> list[Path]:
     return files
 
 
-def read_cell(path: Path) -> Image:
+def read_cell(path: Path, limits: ReadLimits | None = None) -> Image:
     """Read the image of one cell.
 
     Parameters
     ----------
     path : Path
         8 or 16 bit, or floating point (TIFF only).
+    limits : ReadLimits, optional
+        What is read at most, `Settings.read_limits`; the default limits if not given.
 
     Returns
     -------
@@ -102,7 +106,7 @@ def read_cell(path: Path) -> Image:
     InspectionError
         If it can't be read or is no cell: coloured, too small, constant, or with NaN.
     """
-    pixels = _pixels(path)
+    pixels = _pixels(path, limits or ReadLimits())
     name = path.name
     h, w = pixels.shape
     if min(h, w) < _SMALLEST_PX or max(h, w) > _LARGEST_ASPECT * min(h, w):
@@ -126,31 +130,19 @@ def read_cell(path: Path) -> Image:
     return image
 
 
-def _pixels(path: Path) -> NDArray[np.generic]:
-    kind = path.suffix.lower()
-    if kind == ".png":
-        return read_frame(FrameFile(path))
-    if kind in (".tif", ".tiff"):
-        pages = expand(path)
+def _pixels(path: Path, limits: ReadLimits) -> NDArray[np.generic]:
+    if path.suffix.lower() in (".png", ".tif", ".tiff"):
+        pages = expand(path, limits)
         if len(pages) > 1:
             raise InspectionError(
                 f"{path.name} has {len(pages)} pages, but an image of a cell has one: save every "
                 "cell as its own file."
             )
-        with tifffile.TiffFile(path) as tif:
-            floating = np.dtype(tif.pages[0].aspage().dtype or np.uint8).kind == "f"
-        if not floating:
-            return read_frame(pages[0])
-        values = np.asarray(tifffile.imread(path))
-        if values.ndim != 2:
-            raise InspectionError(
-                f"{path.name} has the shape {values.shape}, but a cell is height x width."
-            )
-        return values
-    coded = np.frombuffer(path.read_bytes(), np.uint8)
-    image = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if coded.size else None
-    if image is None:
-        raise InspectionError(f"{path.name} can't be read as an image: replace or remove it.")
+        return read_floats(pages[0]) if pages[0].dtype.kind == "f" else read_frame(pages[0])
+    try:
+        image = read_photo(path, limits)
+    except ImageFileError as problem:
+        raise InspectionError(f"{path.name} {problem}") from None
     if image.ndim == 3:
         colours = np.asarray(image[..., :3], np.int16)
         if np.ptp(colours, axis=2).max() > _TINT:
@@ -170,14 +162,14 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
     path : Path
     detector : CrackDetector
     settings : Settings
-        ``crack_threshold`` and ``cell_width_mm`` are used.
+        ``crack_threshold``, ``cell_width_mm`` and ``max_frame_mpx`` are used.
 
     Raises
     ------
     InspectionError
         See `read_cell`.
     """
-    image = read_cell(path)
+    image = read_cell(path, settings.read_limits)
     point = operating_point_of(detector, settings)
     if isinstance(detector, BusbarFinder):
         probability, bars = detector.read(image)

@@ -59,7 +59,9 @@ def test_the_same_name_in_capitals_replaces_a_preset(tmp_path: Path) -> None:
     assert same(shelf.read("Sharp"), SHARP)
 
 
-@pytest.mark.parametrize("name", ["", "  ", "a/b", "..", ".x", "a:b", "con", "LPT1.x", "x" * 61, "\ud800"])
+@pytest.mark.parametrize(
+    "name", ["", "  ", "a/b", "..", ".x", "a:b", "con", "LPT1.x", "x" * 61, "\ud800"]
+)
 def test_a_name_that_no_file_can_have_is_one_sentence(name: str, tmp_path: Path) -> None:
     with pytest.raises(InspectionError, match="A preset can't be called"):
         PresetShelf(tmp_path).save(name, SHARP)
