@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,11 +29,14 @@ class Case:
         None takes a file away.
     args : tuple of str
         What else the reader is given, for instance the command line.
+    links : tuple of (name, target)
+        Symbolic links; the target "|" makes a pipe without a writer, "/" an empty folder.
     """
 
     reader: str
     files: tuple[tuple[str, bytes | None], ...] = ()
     args: tuple[str, ...] = ()
+    links: tuple[tuple[str, str], ...] = ()
 
     def write(self, folder: Path) -> None:
         """Put the files into a folder."""
@@ -43,6 +47,15 @@ class Case:
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(content)
+        for name, target in self.links:
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if target == "|":
+                os.mkfifo(path)
+            elif target == "/":
+                path.mkdir()
+            else:
+                path.symlink_to(target)
 
 
 @dataclass(frozen=True)

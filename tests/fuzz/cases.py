@@ -48,6 +48,38 @@ def _named_frames(draw: st.DrawFn) -> Case:
     return Case("frames", ((f"frames/{stem}{suffix}", content),))
 
 
+_TARGETS = ("frame_0.tif", "../frames/frame_0.tif", "loop.tif", ".", "..", "none", "|", "/")
+_TARGETS += ("/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "/proc/self/environ")
+_LINKS = {
+    "frames": ("frames/frame_9.tif", "frames/frame_9.png", "frames/module.json", "frames/frames"),
+    "settings": ("settings.toml",),
+    "camera": ("camera.yaml",),
+    "session": ("session.json",),
+    "trials": ("trials.npz",),
+    "review": ("review.sqlite",),
+    "model": ("model.onnx", "model.json"),
+    "result": tuple(f"result/{name}" for name in ("result.json", "geometry.json", "cells.csv"))
+    + tuple(f"result/{name}.tif" for name in ("module_hr", "support", "cracks")),
+    "plain cell": ("cells/cell.png", "cells/cell.jpg"),
+}
+
+
+@st.composite
+def _links(draw: st.DrawFn) -> Case:
+    """Files that are links, pipes, folders or devices."""
+    reader = draw(st.sampled_from(sorted(_LINKS)))
+    name = draw(st.sampled_from(_LINKS[reader]))
+    links = [(name, draw(st.sampled_from(_TARGETS)))]
+    if reader == "frames" and draw(st.booleans()):
+        links.append(("frames/loop.tif", draw(st.sampled_from(("loop.tif", "loop2.tif")))))
+        links.append(("frames/loop2.tif", "loop.tif"))
+    gone = [(name, None)]
+    if reader == "plain cell":
+        gone.append(("cells/cell.png", None))
+    args = ("camera.yaml",) if reader == "camera" else ()
+    return Case(reader, tuple(gone), args, tuple(links))
+
+
 @st.composite
 def _sidecars(draw: st.DrawFn) -> Case:
     text = '{"rows": 2, "cols": 3, "cell_aspect": 1.0, "serial": "7", "more": [1, {"a": null}]}'
@@ -200,6 +232,7 @@ CASES: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "frames, TIFF": _tiff_frames,
     "frames, PNG": _png_frames,
     "frames, odd names": _named_frames,
+    "links, pipes, devices": _links,
     "module.json": _sidecars,
     "dark and flat frames": _references,
     "plain cells": _plain_cells,
@@ -218,6 +251,7 @@ SHARES = {
     "frames, TIFF": 24,
     "frames, PNG": 10,
     "frames, odd names": 3,
+    "links, pipes, devices": 2,
     "module.json": 5,
     "dark and flat frames": 4,
     "plain cells": 9,

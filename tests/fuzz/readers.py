@@ -11,6 +11,7 @@ import json
 import os
 import shutil
 import signal
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
@@ -266,6 +267,8 @@ def _misbehaves(folder: Path, args: Args) -> None:
     if how == "hangs":
         while True:
             pass
+    if how == "waits":
+        threading.Event().wait()
     if how == "crashes":
         os.kill(os.getpid(), signal.SIGSEGV)
     if how == "prints":
@@ -282,7 +285,7 @@ def _misbehaves(folder: Path, args: Args) -> None:
         raise InspectionError("This sentence has no end")
 
 
-MISBEHAVIOUR = ("hangs", "crashes", "prints", "grows", "is slow", "raises", "says much")
+MISBEHAVIOUR = ("hangs", "waits", "crashes", "prints", "grows", "is slow", "raises", "says much")
 
 READERS: dict[str, Kind] = {
     "misbehaves": Kind(_misbehaves),

@@ -57,7 +57,7 @@ ODD = (
 )
 odd_strings = st.one_of(st.sampled_from(ODD), st.text(max_size=40))
 
-_FEW = st.sampled_from((1, 1, 1, 2, 3))
+_FEW = st.sampled_from((1, 1, 1, 1, 2, 2, 3, 0))
 _NUMBERS: tuple[str, ...] = (
     "0",
     "-1",
