@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
+from pv_inspect.opencv_text import xml_entries, yaml_entries
+from pv_inspect.records import json_from, read_text
 
 __all__ = ["KnownCamera", "read_camera", "write_camera"]
 
@@ -20,6 +22,14 @@ __all__ = ["KnownCamera", "read_camera", "write_camera"]
 _MATRIX_KEYS = ("cameramatrix", "k")
 _DISTORTION_KEYS = ("distortioncoefficients", "distcoeffs", "kappa")
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+_ALL_KEYS = (*_MATRIX_KEYS, *_DISTORTION_KEYS, "camera", "imagewidth", "imageheight")
+_MOST_BYTES, _MOST_TEXT = 2**26, 2**20
+_LARGEST_SIDE_PX = 10**6
+_BEYOND_ANY = 1e15
+# Focal length in widths of the frame: 0.1 is a fisheye, 1000 a telescope.
+_FOCAL_WIDTHS = (0.05, 5000.0)
+# A fisheye reaches 0.5 before the image folds.
+_MOST_MOVED = 2.0
 _WANTED = "give an OpenCV calibration (YAML, JSON or XML) or a result.json of pv-inspect"
 
 
@@ -138,7 +148,7 @@ def _check_size(
     path: Path, entries: dict[str, Any], camera: Camera, image_shape: tuple[int, int]
 ) -> None:
     height, width = image_shape
-    made_for = [_size(entries.get(key)) for key in ("imagewidth", "imageheight")]
+    made_for = [_size(path, entries, key) for key in ("imagewidth", "imageheight")]
     if None not in made_for and made_for != [width, height]:
         raise InspectionError(
             f"{path} was made for images of {made_for[0]} x {made_for[1]} px, but the frames have "
@@ -150,10 +160,32 @@ def _check_size(
             f"The principal point in {path} is ({x:g}, {y:g}) and lies outside of the frames of "
             f"{width} x {height} px: give the calibration of this camera at this size."
         )
+    least, most = _FOCAL_WIDTHS
+    if not all(least * width <= focal <= most * width for focal in np.diag(camera.K)[:2]):
+        raise InspectionError(
+            f"The focal lengths in {path} are {camera.K[0, 0]:g} and {camera.K[1, 1]:g} px, which "
+            f"no lens has over frames of {width} px: give the calibration of this camera."
+        )
+    # Share by which the lens moves a point at the edge of the frame.
+    moved = abs(camera.kappa) * (0.5 * width / camera.K[0, 0]) ** 2
+    if moved > _MOST_MOVED:
+        raise InspectionError(
+            f"k1 in {path} is {camera.kappa:g} and moves the edge of the frame by {moved:.3g} of "
+            "its distance from the middle: give the calibration of this camera."
+        )
 
 
-def _size(value: Any) -> int | None:
-    return int(value) if isinstance(value, (int, float)) else None
+def _size(path: Path, entries: dict[str, Any], name: str) -> int | None:
+    value = entries.get(name)
+    if value is None:
+        return None
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (is_number and 1 <= value <= _LARGEST_SIDE_PX):
+        raise InspectionError(
+            f"{path}: {name} is {str(value)[:40]!r}, but a number of pixels is expected: correct "
+            "it, or take that entry out."
+        )
+    return int(value)
 
 
 def _numbers(
@@ -162,61 +194,80 @@ def _numbers(
     """Return the first of the entries that is there, as finite numbers."""
     for name in names:
         value = entries.get(name)
-        if isinstance(value, dict):  # a matrix as OpenCV writes it into JSON, and ROS into YAML
+        size = None
+        if isinstance(value, dict):  # a matrix as OpenCV writes it, and ROS
+            size = value.get("rows"), value.get("cols")
             value = value.get("data")
         if value is None:
             continue
+        leaves = list(_leaves(value))
+        wrong = next((v for v in leaves if not _is_number(v)), None)
         try:
-            numbers = np.asarray(value, dtype=np.float64)
-        except (TypeError, ValueError):
+            numbers = np.asarray(value if wrong is None else np.nan, dtype=np.float64)
+        except (TypeError, ValueError):  # rows of different lengths
             numbers = np.array(np.nan)
         if not np.isfinite(numbers).all():
-            raise InspectionError(f"{path} has an entry {name!r} that is no matrix: {_WANTED}.")
+            shown = "" if wrong is None else f", but holds {str(wrong)[:40]!r}"
+            raise InspectionError(
+                f"{path} has an entry {name!r} that is no matrix of numbers{shown}: {_WANTED}."
+            )
+        if size is not None and None not in size and size != _shape_of(numbers, size):
+            raise InspectionError(
+                f"{path} has an entry {name!r} with {numbers.size} numbers, which are not "
+                f"{str(size[0])[:20]} x {str(size[1])[:20]}: {_WANTED}."
+            )
         return numbers
     return None
+
+
+def _shape_of(numbers: NDArray[np.float64], size: tuple[Any, Any]) -> tuple[Any, Any] | None:
+    """Return ``size`` if so many numbers are there."""
+    if not all(isinstance(n, int) and 0 < n < 100 for n in size):
+        return None
+    return size if size[0] * size[1] == numbers.size else None
+
+
+def _leaves(value: Any) -> Iterator[Any]:
+    """All that lies in nested lists; the readers limit how deep they are."""
+    if isinstance(value, list):
+        for item in value:
+            yield from _leaves(item)
+    else:
+        yield value
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return abs(value) < _BEYOND_ANY  # also false for what is no number
 
 
 def _entries(path: Path) -> dict[str, Any]:
     """Content of the file by name, spelled in lower case without underscores."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, _MOST_BYTES).lstrip()
+        if text.startswith("{"):
+            found = json_from(text)
+        elif len(text) > _MOST_TEXT:
+            raise ValueError(f"it has {len(text)} characters")
+        else:
+            found = xml_entries(text) if text.startswith("<") else yaml_entries(text)
+        if not isinstance(found, dict) or not found:
+            raise ValueError("it holds no names with values")
+        entries = _by_name(found)
+        inner = entries.get("camera")
+        return {**entries, **_by_name(inner)} if isinstance(inner, dict) else entries
     except OSError as error:
         raise InspectionError(
             f"{path} can't be read ({error.strerror}): give an existing calibration file."
         ) from None
-    except UnicodeDecodeError:
-        raise InspectionError(f"{path} is no text file: {_WANTED}.") from None
-    try:
-        found = json.loads(text) if text.lstrip().startswith("{") else _opencv(text)
-    except (ValueError, RecursionError, cv2.error, SystemError):
-        found = None
-    if not isinstance(found, dict) or not found:
-        raise InspectionError(f"{path} can't be understood: {_WANTED}.")
-    inner = found.get("camera")
-    entries = {**found, **inner} if isinstance(inner, dict) else found
-    return {str(name).lower().replace("_", ""): value for name, value in entries.items()}
+    except (ValueError, RecursionError) as error:
+        raise InspectionError(f"{path} can't be understood ({error}): {_WANTED}.") from None
 
 
-def _opencv(text: str) -> dict[str, Any]:
-    """Parse YAML or XML as OpenCV does; its YAML must say that it is one."""
-    if not text.lstrip().startswith(("%YAML", "<")):
-        text = f"%YAML:1.0\n---\n{text}"
-    storage = cv2.FileStorage(text.lstrip(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    try:
-        root = storage.root()
-        return {name: _plain(root.getNode(name)) for name in root.keys()}  # noqa: SIM118
-    finally:
-        storage.release()
-
-
-def _plain(node: Any) -> Any:
-    """Turn a node of OpenCV's storage into plain Python; None for what is of no interest."""
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isSeq():
-        return [_plain(node.at(i)) for i in range(node.size())]
-    if not node.isMap():
-        return None
-    if "data" in node.keys():  # noqa: SIM118
-        return _plain(node.getNode("data"))
-    return {name: _plain(node.getNode(name)) for name in node.keys()}  # noqa: SIM118
+def _by_name(found: dict[str, Any]) -> dict[str, Any]:
+    names = [str(name).lower().replace("_", "") for name in found]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None and twice in _ALL_KEYS:
+        raise ValueError(f"it holds {twice!r} twice, in two spellings")
+    return dict(zip(names, found.values(), strict=True))
