@@ -2,7 +2,18 @@
 
 from __future__ import annotations
 
-from pv_inspect.cli import main
+from pv_inspect import signals
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Entry point of the command ``pv-inspect``."""
+    signals.exit_at_once()  # before the imports, which take a second
+    from pv_inspect import cli
+
+    cli.main()
+
 
 if __name__ == "__main__":
     main()

@@ -15,8 +15,11 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from pv_inspect import __version__, cli_cracks, cli_gui, cli_review
+from pv_inspect.course import Course
 from pv_inspect.errors import InspectionError, one_sentence, printable
+from pv_inspect.output_paths import check_not_inside
 from pv_inspect.settings import Settings
+from pv_inspect.signals import stop_code, stop_word
 
 __all__ = ["app", "main"]
 
@@ -187,12 +190,13 @@ def run(
     Exit code: 0 if the result is whole and without doubt; 3 if it is written but must not be relied
     on (the summary begins with the reason); 1 if there is none.
     """
-    with _one_sentence(debug):
+    with _one_sentence(debug) as course:
         # Imported here: --help and --version answer at once.
         from pv_inspect.camera_file import read_camera
         from pv_inspect.pipeline import inspect
         from pv_inspect.progress import follow
-        from pv_inspect.results import check_writable, write_result
+        from pv_inspect.result_folder import reserve_result
+        from pv_inspect.results import write_result
         from pv_inspect.sequence import Sequence
         from pv_inspect.summary import summary
 
@@ -225,7 +229,9 @@ def run(
         }
         settings = Settings.from_toml(settings_file) if settings_file else Settings()
         settings = settings.changed(**{k: v for k, v in given.items() if v is not None})
-        check_writable(out)
+        place = course.hold(reserve_result(out))
+        check_not_inside(out, sequence, "The frames")
+        course.so_far = place.so_far
         _use_threads(threads)
         begun = perf_counter()
         references = settings.dark_frame, settings.flat_frame
@@ -235,7 +241,7 @@ def run(
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)
         inspection = follow(inspect(opened, settings), quiet=quiet)
-        write_result(inspection, out)
+        write_result(inspection, out, place)
         if quiet:
             for doubt in inspection.doubts:
                 typer.echo(f"pv-inspect: in doubt: {doubt}", err=True)
@@ -265,7 +271,7 @@ def cracks(
     Writes for each image a map of the crack probability (float32 TIFF of the same size and stem)
     and cells.csv with the features of all cells.
     """
-    with _one_sentence(debug):
+    with _one_sentence(debug) as course:
         given = {
             "crack_threshold": crack_threshold,
             "detector": detector,
@@ -273,7 +279,7 @@ def cracks(
             "max_frame_mpx": max_frame_mpx,
         }
         settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
-        if not cli_cracks.cracks_of(images, out, settings, model, quiet=quiet):
+        if not cli_cracks.cracks_of(images, out, settings, model, course, quiet=quiet):
             raise typer.Exit(1)
 
 
@@ -292,14 +298,14 @@ def review(
 
     Verdicts are given in the workbench; what is known about the module can be stored here.
     """
-    with _one_sentence(debug):
+    with _one_sentence(debug) as course:
         module = {
             "serial_number": serial,
             "current_a": current,
             "exposure_s": exposure,
             "temperature_c": temperature,
         }
-        cli_review.review_of(folder, module, export=export, quiet=quiet)
+        cli_review.review_of(folder, module, course, export=export, quiet=quiet)
 
 
 @app.command()
@@ -337,9 +343,9 @@ def simulate(
 
     Writes frames/, module.json and truth/ (truth.json, hr.png, cracks.png).
     """
-    with _one_sentence(debug):
+    with _one_sentence(debug) as course:
         from pv_inspect.progress import follow_fraction
-        from pv_inspect.simulate import SimulationSettings, write_sequence
+        from pv_inspect.simulate import SimulationSettings, reserve_sequence, write_sequence
         from pv_inspect.simulate import simulate as simulate_sequence
 
         if more and "help" in more:
@@ -358,6 +364,7 @@ def simulate(
         }
         values.update(_assignment(text) for text in more or [])
         settings = SimulationSettings(**values)
+        course.hold(reserve_sequence(out))
         sequence = follow_fraction(simulate_sequence(settings), "simulating", quiet=quiet)
         write_sequence(sequence, out)
         if not quiet:
@@ -376,14 +383,16 @@ def gui(
 
 
 @contextmanager
-def _one_sentence(debug: bool) -> Iterator[None]:
+def _one_sentence(debug: bool) -> Iterator[Course]:
     """Turn whatever goes wrong into one sentence on stderr and an exit code."""
+    course = Course()
     try:
-        yield
+        with course:
+            yield course
     except InspectionError as error:
         _fail(str(error), 1)
-    except KeyboardInterrupt:
-        _fail("Interrupted; nothing was written.", 130)
+    except KeyboardInterrupt as stop:
+        _fail(f"{stop_word(stop)}; {course.said}.", stop_code(stop))
     except MemoryError:
         _fail("Not enough memory: lower the magnification or close other programs.", 1)
     except (typer.Exit, typer.Abort):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from pv_inspect.course import Course
 from pv_inspect.errors import InspectionError, printable
+from pv_inspect.folders import replace_file
+from pv_inspect.reservations import reserved_files
 from pv_inspect.settings import Settings
 
 __all__ = ["cracks_of"]
@@ -32,7 +35,13 @@ Model = Annotated[
 
 
 def cracks_of(
-    images: list[Path], out: Path, settings: Settings, model: Path | None, *, quiet: bool
+    images: list[Path],
+    out: Path,
+    settings: Settings,
+    model: Path | None,
+    course: Course,
+    *,
+    quiet: bool,
 ) -> bool:
     """Write OUT/STEM.tif for each image and OUT/cells.csv; tell about images that are no cells.
 
@@ -44,6 +53,8 @@ def cracks_of(
     settings : Settings
     model : Path, optional
         See `NetworkDetector`.
+    course : Course
+        Holds ``out`` until the command ends.
     quiet : bool
         Print nothing but errors.
 
@@ -59,7 +70,13 @@ def cracks_of(
         be written.
     """
     from pv_inspect.cracks import CellCounts, NetworkDetector, detector_of
-    from pv_inspect.cracks.plain import cells_csv, image_files, read_plain_cell, tiff_bytes
+    from pv_inspect.cracks.plain import (
+        PlainCell,
+        cells_csv,
+        image_files,
+        read_plain_cell,
+        tiff_bytes,
+    )
 
     files = image_files(images)
     if any(path.parent.resolve() == out.resolve() for path in files):
@@ -73,7 +90,14 @@ def cracks_of(
             "--detector or --model."
         )
     detector = NetworkDetector(model) if model is not None else detector_of(settings)
-    cells, refused = [], 0
+    cells: list[PlainCell] = []
+    refused = 0
+    place = course.hold(reserved_files(out))
+    course.so_far = lambda: (
+        f"the maps of {len(cells)} of {len(files)} images are in {out}, without a table"
+        if cells
+        else "nothing was written"
+    )
     for path in files:
         try:
             cell = read_plain_cell(path, detector, settings)
@@ -81,10 +105,10 @@ def cracks_of(
             typer.echo(f"pv-inspect: {error}", err=True)
             refused += 1
             continue
-        _write(out / f"{cell.stem}.tif", tiff_bytes(cell.probability))
+        replace_file(place / f"{cell.stem}.tif", tiff_bytes(cell.probability))
         cells.append(cell)
     if cells:
-        _write(out / "cells.csv", cells_csv(cells).encode())
+        replace_file(place / "cells.csv", cells_csv(cells).encode())
     if not quiet:
         typer.echo(
             f"cells     {CellCounts.of(cell.features for cell in cells).text}"
@@ -92,16 +116,3 @@ def cracks_of(
             + f"\ndetector  {detector.name}\nresults   {printable(str(out))}"
         )
     return not refused
-
-
-def _write(path: Path, data: bytes) -> None:
-    """Write a file as a whole or not at all."""
-    part: Any = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(data)
-        part.replace(path)
-    except OSError as error:
-        raise InspectionError(
-            f"{path} can't be written ({error.strerror}): give another folder with --out."
-        ) from None

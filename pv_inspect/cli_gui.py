@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from pv_inspect import signals
 from pv_inspect.errors import InspectionError
 
 __all__ = ["Shown", "open_workbench"]
@@ -50,6 +51,7 @@ def open_workbench(sequence: Path | None) -> None:
             'install them with  pip install "pv-inspect[gui]".'
         ) from None
     _need_a_display()
+    signals.usual()  # Qt does not let a signal's exception out
     launch(sequence)
 
 

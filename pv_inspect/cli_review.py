@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pv_inspect.course import Course
 from pv_inspect.errors import printable
 
 __all__ = ["Current", "Export", "Exposure", "Folder", "Serial", "Temperature", "review_of"]
@@ -33,7 +34,9 @@ Temperature = Annotated[
 ]
 
 
-def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool) -> None:
+def review_of(
+    folder: Path, module: dict[str, Any], course: Course, *, export: bool, quiet: bool
+) -> None:
     """Tell how far the review of a result is; store module data and export if asked for.
 
     Parameters
@@ -42,6 +45,7 @@ def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool
         Result folder.
     module : dict
         Fields of `ModuleData` to change; None leaves one as it is.
+    course : Course
     export : bool
     quiet : bool
         Print nothing.
@@ -57,11 +61,17 @@ def review_of(folder: Path, module: dict[str, Any], *, export: bool, quiet: bool
     from pv_inspect.review_report import export_review
 
     result = read_result(folder)
+    stored: list[str] = []
+    course.so_far = lambda: (" and ".join(stored)) or "nothing was written"
+    course.begin()
     with ReviewStore(result.folder) as store:
         changes = {name: value for name, value in module.items() if value is not None}
         if changes:
             store.describe(replace(store.module_data(), **changes))
+            stored.append("the module's data are stored")
         verdicts = store.current()
+        if export:
+            stored.append("some of the exported files may be those of before")
         written = export_review(result, store) if export else ()
     if quiet:
         return

@@ -1,7 +1,7 @@
 """Replacing a folder as a whole: after a cut there is the old one or the new one, never a mixture.
 
-The new folder grows beside the old one under a hidden name and is moved into place when every
-file of it is on the disk.
+The new folder grows beside the old one under a hidden name and changes places with it when every
+file of it is on the disk. A lock beside it keeps other processes away for so long.
 """
 
 from __future__ import annotations
@@ -9,16 +9,42 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
 from pathlib import Path, PurePath
+from time import monotonic, sleep
+from typing import TypeVar
+from uuid import uuid4
 
+from pv_inspect.carrying import carried, take_missing
 from pv_inspect.errors import InspectionError
+from pv_inspect.exchange import exchange
+from pv_inspect.locks import FileLock, HeldError, folder_held
+from pv_inspect.output_paths import FULL, cant_write, output_folder, shown
+from pv_inspect.reservations import locked_output
+from pv_inspect.signals import held_back
+from pv_inspect.temporaries import MOVING, PARTIAL, PREVIOUS, is_dead, leftovers, lock_of, own
 
-__all__ = ["check_replaceable", "recovered", "replace_file", "replace_folder"]
+__all__ = [
+    "Reservation",
+    "check_replaceable",
+    "read_steadily",
+    "recovered",
+    "replace_file",
+    "replace_folder",
+    "reserved",
+]
 
 IsOurs = Callable[[PurePath], bool]
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+Identity = tuple[int, int] | None
+T = TypeVar("T")
+
+# Who writes once waits so long for another one who does; a run is not waited for.
+_PATIENCE_S = 5.0
+_GAP_S = 2.0  # between the two renames of another process
+_POLL_S = 0.02
+_READINGS = 5
 
 
 def check_replaceable(out: Path, marker: str) -> Path:
@@ -38,40 +64,164 @@ def check_replaceable(out: Path, marker: str) -> Path:
     Raises
     ------
     InspectionError
-        If ``out`` is a file, a mount point, a folder that holds things but not the marker, or if
-        nothing can be created beside it.
+        If no folder can be there, if it is a mount point, read-only, or holds things but not the
+        marker, or if nothing can be created beside it.
     """
-    out = recovered(out)
+    out = recovered(output_folder(out, replaced=True))
     if out.exists():
-        if not out.is_dir():
-            raise InspectionError(f"{out} is a file: give a folder for the result.")
         try:
             names = {entry.name for entry in out.iterdir()}
         except OSError as error:
             raise InspectionError(
-                f"{out} can't be read ({error.strerror}): give another folder for the result."
+                f"{shown(out)} can't be read ({error.strerror}): give another folder for the "
+                "result."
             ) from None
         if names and marker not in names:
             raise InspectionError(
-                f"{out} is not empty and holds no earlier result ({marker} is missing): give a "
-                "new or empty folder, so that none of your files is touched."
+                f"{shown(out)} is not empty and holds no earlier result ({marker} is missing): "
+                "give a new or empty folder, so that none of your files is touched."
             )
         if out.is_mount():
             raise InspectionError(
-                f"{out} is a mount point and can't be replaced as a whole: give a folder inside "
-                f"it, for example {out / 'result'}."
+                f"{shown(out)} is a mount point and can't be replaced as a whole: give a folder "
+                f"inside it, for example {shown(out / 'result')}."
             )
+        if not os.access(out, os.W_OK | os.X_OK):
+            denied = OSError(errno.EACCES, os.strerror(errno.EACCES))
+            raise cant_write(out, out, denied)
     parent = next(p for p in out.parents if p.exists())
-    probe = parent / f".{out.name}.probe-{os.getpid()}"
+    probe = parent / f".pv-inspect-probe-{uuid4().hex}"
     try:
         probe.mkdir()
         probe.rmdir()
     except OSError as error:
-        raise InspectionError(
-            f"The result can't be written to {out}: nothing can be created in {parent} "
-            f"({error.strerror}); give another folder."
-        ) from None
+        raise cant_write(out, parent, error) from None
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class Reservation:
+    """A folder that this process alone replaces for the time being; see `reserved`.
+
+    Parameters
+    ----------
+    out : Path
+        Without links.
+    marker : str
+    is_ours : callable
+    lock : FileLock
+    before : (int, int) or None
+        Which folder had the name at first.
+    made : list of (int, int)
+        Which folders `fill` has made.
+    """
+
+    out: Path
+    marker: str
+    is_ours: IsOurs
+    lock: FileLock
+    before: Identity
+    made: list[Identity] = field(default_factory=list)
+
+    def so_far(self) -> str:
+        """Tell what has become of the folder, looked up now."""
+        now = _identity(self.out)
+        if now is not None and now in self.made:
+            return f"the new result is in {shown(self.out)}"
+        if now == self.before:
+            return "nothing was changed there" if self.before else "nothing was written"
+        return f"nothing was written, but {shown(self.out)} was changed by somebody else"
+
+    def fill(self, files: Iterable[tuple[str, bytes]]) -> None:
+        """Write the folder, all or nothing; see `replace_folder`."""
+        out = self.out
+        growing = own(out, PARTIAL), own(out, MOVING)
+        try:
+            check_replaceable(out, self.marker)
+            growing[0].mkdir(parents=True)
+            self.made.append(_identity(growing[0]))
+            for name, content in files:
+                (growing[0] / name).parent.mkdir(exist_ok=True)
+                _write_file(growing[0] / name, content)
+            self._move_into_place(*growing)
+        except BaseException as error:
+            with held_back():
+                for folder in growing:
+                    if _identity(folder) in self.made:
+                        shutil.rmtree(folder, ignore_errors=True)
+                _put_back(out)
+            if not isinstance(error, OSError):
+                raise
+            full = error.errno in FULL
+            reason = "the disk is full" if full else error.strerror or str(error)
+            remedy = (
+                "free some space or give a folder on another disk" if full else "give another one"
+            )
+            raise InspectionError(
+                f"The result can't be written to {shown(out)}: {reason}; {remedy} "
+                f"({self.so_far()})."
+            ) from None
+
+    def _move_into_place(self, partial: Path, moving: Path) -> None:
+        out, left = self.out, moving
+        exists = out.exists()
+        with (
+            folder_held(out) if exists else nullcontext(),
+            carried(out, partial, self.is_ours) as taken,
+        ):
+            _sync_folder(partial)
+            if not self.lock.is_ours:
+                raise InspectionError(
+                    f"Another pv-inspect took {shown(out)} over while this one stood still: "
+                    "nothing was changed there; give another folder."
+                )
+            with held_back():
+                if not exists:
+                    partial.rename(out)
+                    _sync_folder(out.parent)
+                    return
+                partial.rename(moving)
+                if not exchange(moving, out):
+                    left = own(out, PREVIOUS)
+                    out.rename(left)
+                    moving.rename(out)
+                _sync_folder(out.parent)
+                try:
+                    taken.catch_up(left, out, self.is_ours)
+                except OSError as error:
+                    raise InspectionError(
+                        f"The new result is in {shown(out)}, but a file that was written meanwhile "
+                        f"can't be taken along ({error.strerror}): it is in {left.name} beside it; "
+                        "move it yourself."
+                    ) from None
+                # What can't be removed now is removed by the next run.
+                shutil.rmtree(left, ignore_errors=True)
+
+
+@contextmanager
+def reserved(out: Path, marker: str, is_ours: IsOurs, wait_s: float = 0.0) -> Iterator[Reservation]:
+    """Keep other processes from replacing a folder, from before the work until it is written.
+
+    Parameters
+    ----------
+    out : Path
+    marker : str
+        As in `check_replaceable`.
+    is_ours : callable
+        Tells of a path relative to ``out`` whether this program writes it.
+    wait_s : float
+        How long to wait for another process.
+
+    Raises
+    ------
+    InspectionError
+        As `check_replaceable`, or if another process is writing there.
+    """
+    out = check_replaceable(out, marker)
+    with locked_output(out, lock_of(out), wait_s) as lock:
+        _put_back(out)
+        _clear(out, is_ours)
+        yield Reservation(out, marker, is_ours, lock, _identity(out))
 
 
 def replace_folder(
@@ -95,33 +245,8 @@ def replace_folder(
     InspectionError
         If the folder can't be written; then an earlier one is as it was.
     """
-    out = check_replaceable(out, marker)
-    partial, previous = _beside(out)
-    missing_parents = [parent for parent in out.parents if not parent.exists()]
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        _remove(partial)
-        partial.mkdir()
-        for name, content in files:
-            _write_file(partial / name, content)
-        if out.exists():
-            _carry_over(out, partial, is_ours)
-        _sync_folder(partial)
-        _move_into_place(partial, out, previous)
-    except BaseException as error:
-        shutil.rmtree(partial, ignore_errors=True)
-        recovered(out)
-        with suppress(OSError):
-            for parent in missing_parents:
-                parent.rmdir()
-        if not isinstance(error, OSError):
-            raise
-        full = error.errno in _FULL
-        reason = "the disk is full" if full else error.strerror or str(error)
-        remedy = "free some space or give a folder on another disk" if full else "give another one"
-        raise InspectionError(
-            f"The result can't be written to {out}: {reason}; {remedy} (nothing was changed there)."
-        ) from None
+    with reserved(out, marker, is_ours, _PATIENCE_S) as place:
+        place.fill(files)
 
 
 def replace_file(path: Path, content: bytes) -> None:
@@ -132,17 +257,19 @@ def replace_file(path: Path, content: bytes) -> None:
     InspectionError
         If it can't be written; then an earlier one is as it was.
     """
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
+    partial = own(path, PARTIAL)
     try:
         _write_file(partial, content)
         partial.replace(path)
-    except OSError as error:
+    except BaseException as error:
         with suppress(OSError):
             partial.unlink()
-        reason = "the disk is full" if error.errno in _FULL else error.strerror or str(error)
+        if not isinstance(error, OSError):
+            raise
+        reason = "the disk is full" if error.errno in FULL else error.strerror or str(error)
         raise InspectionError(
-            f"{path} can't be written: {reason}; free some space or allow writing there, and try "
-            "again."
+            f"{shown(path)} can't be written: {reason}; free some space or allow writing there, "
+            "and try again."
         ) from None
     _sync_folder(path.parent)
 
@@ -150,54 +277,77 @@ def replace_file(path: Path, content: bytes) -> None:
 def recovered(out: Path) -> Path:
     """Return ``out`` without links, the old folder back in place if a replacement was cut.
 
-    Between the two renames of a replacement there is, for an instant, nothing at ``out``.
+    Between the two renames of a replacement there is, for an instant, nothing at ``out``; where a
+    process is alive there, it is waited for.
     """
     out = Path(os.path.realpath(Path(out).expanduser()))
-    previous = _beside(out)[1]
-    with suppress(OSError):
-        if not out.exists() and previous.is_dir():
-            previous.rename(out)
+    end = monotonic() + _GAP_S
+    while not os.path.lexists(out) and leftovers(out, PREVIOUS) and monotonic() < end:
+        try:
+            with FileLock(lock_of(out)).acquire():
+                _put_back(out)
+            break
+        except HeldError:
+            sleep(_POLL_S)
+        except OSError:  # nothing can be made there: it is not ours to mend
+            break
     return out
 
 
-def _beside(out: Path) -> tuple[Path, Path]:
-    """Where the new folder grows, and where the old one waits while the new one moves in."""
-    return out.with_name(f".{out.name}.partial"), out.with_name(f".{out.name}.previous")
+def read_steadily(folder: Path, read: Callable[[], T]) -> T:
+    """Read several files of a folder, again if it was replaced in between.
 
-
-def _move_into_place(partial: Path, out: Path, previous: Path) -> None:
-    _remove(previous)
-    if out.exists():
-        out.rename(previous)
-    partial.rename(out)
-    _sync_folder(out.parent)
-    # The new folder is in place: what can't be removed now is removed by the next run.
-    shutil.rmtree(previous, ignore_errors=True)
-
-
-def _carry_over(old: Path, new: Path, is_ours: IsOurs) -> None:
-    """Take over what others (the review, the user) have put into the old folder.
-
-    Hard links where the file system has them: a database that is open stays the same file.
+    Parameters
+    ----------
+    folder : Path
+    read : callable
     """
-    for path in sorted(old.rglob("*")):
-        relative = path.relative_to(old)
-        if is_ours(relative):
-            continue
-        target = new / relative
-        if path.is_dir() and not path.is_symlink():
-            target.mkdir(parents=True, exist_ok=True)
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
+    for _ in range(_READINGS - 1):
+        before = _identity(recovered(folder))
         try:
-            os.link(path, target, follow_symlinks=False)
-        except (OSError, NotImplementedError):
-            shutil.copy2(path, target, follow_symlinks=False)
+            found = read()
+        except InspectionError:
+            if _identity(folder) == before:
+                raise
+        else:
+            if _identity(folder) == before:
+                return found
+    return read()
+
+
+def _put_back(out: Path) -> None:
+    """Move the old folder back if nothing has taken its place; only for the holder of the lock."""
+    if not os.path.lexists(out):
+        for previous in reversed(leftovers(out, PREVIOUS)):
+            with suppress(OSError):
+                previous.rename(out)
+                return
+
+
+def _clear(out: Path, is_ours: IsOurs) -> None:
+    """Remove what dead processes have left; only for the holder of the lock."""
+    partial = leftovers(out, PARTIAL)
+    for left in (*partial, *leftovers(out, MOVING, PREVIOUS)):
+        if not is_dead(left):
+            continue
+        if left not in partial and out.exists():
+            try:
+                take_missing(left, out, is_ours)
+            except OSError:
+                continue  # the next one may have more room
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def _identity(folder: Path) -> Identity:
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _write_file(path: Path, content: bytes) -> None:
     """Write and flush to the disk: a full disk is noticed here, not after the rename."""
-    path.parent.mkdir(exist_ok=True)
     with path.open("wb") as file:
         file.write(content)
         file.flush()
@@ -211,8 +361,3 @@ def _sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-def _remove(folder: Path) -> None:
-    if folder.is_dir():
-        shutil.rmtree(folder)

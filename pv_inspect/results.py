@@ -5,11 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,19 @@ from pv_inspect.camera import Camera
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.errors import InspectionError
-from pv_inspect.folders import check_replaceable, recovered, replace_folder
+from pv_inspect.folders import Reservation, read_steadily, recovered
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
 from pv_inspect.records import checked, json_from, read_text
 from pv_inspect.report import render_report
+from pv_inspect.result_folder import (
+    CELLS_FOLDER,
+    RESULT_JSON,
+    check_writable,
+    reserve_result,
+    tile_name,
+)
 from pv_inspect.result_records import FrameRecord, ResultRecord
 from pv_inspect.settings import Settings
 from pv_inspect.versions import versions
@@ -35,26 +41,15 @@ from pv_inspect.versions import versions
 __all__ = [
     "FrameResult",
     "Result",
+    "check_unchanged",
     "check_writable",
     "read_result",
     "tile_name",
     "write_result",
 ]
 
-RESULT_FILES = (
-    "module_hr.tif",
-    "support.tif",
-    "consistency.tif",
-    "cracks.tif",
-    "cells.csv",
-    "report.html",
-    "geometry.json",
-)
-RESULT_JSON = "result.json"
-CELLS_FOLDER = "cells"
 # A module of 60 cells of 1000 x 1000 px has 60 million.
 _MOST_PIXELS = 2**29
-_TILE_NAME = re.compile(r"r\d+_c\d+\.tif")
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +164,7 @@ class Result:
         return result_html(self)
 
 
-def tile_name(row: int, col: int) -> str:
-    """File name of the tile of a cell; rows and columns are counted from 1, as people do."""
-    return f"r{row + 1:02d}_c{col + 1:02d}.tif"
-
-
-def write_result(inspection: Inspection, out: Path) -> None:
+def write_result(inspection: Inspection, out: Path, reservation: Reservation | None = None) -> None:
     """Write the result folder (contract in the design), all or nothing.
 
     Everything is written into a folder beside ``out`` and moved into place when it is whole. An
@@ -185,6 +175,8 @@ def write_result(inspection: Inspection, out: Path) -> None:
     inspection : Inspection
         Complete.
     out : Path
+    reservation : Reservation, optional
+        Of ``out``, from `reserve_result`; without one it is reserved now.
 
     Raises
     ------
@@ -196,7 +188,8 @@ def write_result(inspection: Inspection, out: Path) -> None:
         raise InspectionError(
             "This inspection is not complete, so that no result can be written: run it to its end."
         )
-    replace_folder(out, _files(inspection, out), RESULT_JSON, _is_ours)
+    with nullcontext(reservation) if reservation else reserve_result(out, patient=True) as place:
+        place.fill(_files(inspection, place.out))
 
 
 def read_result(folder: Path) -> Result:
@@ -216,6 +209,10 @@ def read_result(folder: Path) -> Result:
         If the folder is no result, or a file of it is missing or damaged.
     """
     folder = recovered(folder)
+    return read_steadily(folder, lambda: _read_result(folder))
+
+
+def _read_result(folder: Path) -> Result:
     path = folder / RESULT_JSON
     if not path.is_file():
         raise InspectionError(
@@ -223,8 +220,7 @@ def read_result(folder: Path) -> Result:
             "`pv-inspect run --out` wrote."
         )
     with _damaged(path):
-        content = json_from(read_text(path))
-        record = checked(ResultRecord, content)
+        content, record = _record_in(path)
         layout = ModuleLayout(**record.layout.model_dump())
         camera = Camera(np.array(record.camera.K, np.float64), record.camera.kappa)
         settings = Settings.create(**record.settings)
@@ -263,26 +259,33 @@ def read_result(folder: Path) -> Result:
         _known(record.prior_weight),
         _known(record.psf_sigma_lr_px),
         # With what an earlier version did not say.
-        {**content, **record.model_dump(mode="json")},
+        content,
         tuple(record.doubts),
     )
 
 
-def check_writable(out: Path) -> None:
-    """Check, before anything is computed, that `write_result` can write to ``out``.
+def _record_in(path: Path) -> tuple[dict[str, Any], ResultRecord]:
+    """All that ``result.json`` says, with what an earlier version did not; and what is checked."""
+    content = json_from(read_text(path))
+    record = checked(ResultRecord, content)
+    return {**content, **record.model_dump(mode="json")}, record
 
-    Parameters
-    ----------
-    out : Path
-        The folder that shall be made or replaced.
+
+def check_unchanged(result: Result) -> None:
+    """Check that a result folder still holds the result that was read from it.
 
     Raises
     ------
     InspectionError
-        If ``out`` is a file, holds things but no result, is a mount point, or nothing can be
-        created beside it.
+        If another run has replaced it.
     """
-    check_replaceable(out, RESULT_JSON)
+    path = result.folder / RESULT_JSON
+    with _damaged(path):
+        now, _ = _record_in(path)
+    if now != result.record:
+        raise InspectionError(
+            f"{result.folder} holds another result than the one that was opened: open it again."
+        )
 
 
 def result_record(inspection: Inspection) -> dict[str, Any]:
@@ -512,14 +515,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return value if np.isfinite(value) else None
     return value
-
-
-def _is_ours(path: PurePath) -> bool:
-    """Whether a path inside a result folder is one that `write_result` writes."""
-    name, *rest = path.parts
-    if not rest:
-        return name in (RESULT_JSON, *RESULT_FILES, CELLS_FOLDER)
-    return name == CELLS_FOLDER and _TILE_NAME.fullmatch("/".join(rest)) is not None
 
 
 @contextmanager

@@ -19,7 +19,8 @@ from pv_inspect.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.folders import replace_file
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.report import with_review_state
-from pv_inspect.results import Result
+from pv_inspect.reservations import changing
+from pv_inspect.results import Result, check_unchanged
 from pv_inspect.review.selection import progress
 from pv_inspect.review.store import ReviewStore
 from pv_inspect.review.tables import DISAGREED, agreed, raters_of, verdicts_csv
@@ -76,18 +77,21 @@ def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
     ------
     InspectionError
         If the review can't be read or a file can't be written; then an earlier one is as it was.
+        If another run has replaced the result since it was read.
     """
     verdicts = store.current()
     page = render_review(result, verdicts, store.module_data(), store.masks())
     table_path, page_path = result.folder / VERDICTS_TABLE, result.folder / REVIEW_PAGE
-    replace_file(table_path, verdicts_csv(result.cells, verdicts).encode())
-    replace_file(page_path, page.encode())
-    technical = result.folder / "report.html"
-    with suppress(OSError):  # one that is gone or locked is no reason to fail
-        before = technical.read_bytes()
-        raters, done = raters_of(verdicts), progress(verdicts, result.grid.layout).text
-        state = f"{done} by {', '.join(raters)}" if raters else done
-        replace_file(technical, with_review_state(before, state))
+    with changing(result.folder):
+        check_unchanged(result)
+        replace_file(table_path, verdicts_csv(result.cells, verdicts).encode())
+        replace_file(page_path, page.encode())
+        technical = result.folder / "report.html"
+        with suppress(OSError):  # one that is gone or locked is no reason to fail
+            before = technical.read_bytes()
+            raters, done = raters_of(verdicts), progress(verdicts, result.grid.layout).text
+            state = f"{done} by {', '.join(raters)}" if raters else done
+            replace_file(technical, with_review_state(before, state))
     return table_path, page_path
 
 

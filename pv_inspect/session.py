@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +10,9 @@ from typing import Annotated
 from pydantic import Field
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.folders import replace_file
 from pv_inspect.records import Pair, Place, Record, Text, Whole, checked, json_from, read_text
+from pv_inspect.reservations import changing
 
 __all__ = ["Session", "read_session", "write_session"]
 
@@ -46,21 +46,17 @@ class Session:
 
 
 def write_session(session: Session, folder: Path) -> bool:
-    """Write ``session.json``, whole or not at all.
+    """Write ``session.json``, whole or not at all; of two windows the last one's view is kept.
 
     Returns
     -------
     bool
         False if the folder can't be written to; nobody loses work by that.
     """
-    path = folder / SESSION_JSON
-    beside = path.with_name(f".{SESSION_JSON}.{os.getpid()}")
     try:
-        beside.write_text(json.dumps(asdict(session), indent=1), encoding="utf-8")
-        beside.replace(path)
-    except OSError:
-        with suppress(OSError):
-            beside.unlink()
+        with changing(folder):
+            replace_file(folder / SESSION_JSON, json.dumps(asdict(session), indent=1).encode())
+    except InspectionError:
         return False
     return True
 

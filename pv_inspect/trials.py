@@ -9,7 +9,8 @@ import io
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from numpy.typing import NDArray
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import replace_file
 from pv_inspect.records import Place, Record, Text, Whole, checked, json_from
+from pv_inspect.reservations import changing
 from pv_inspect.settings import Settings
 
-__all__ = ["KeptTrial", "read_trials", "worth_keeping", "write_trials"]
+__all__ = ["KeptTrial", "merged", "read_trials", "worth_keeping", "write_trials"]
 
 TRIALS_NPZ = "trials.npz"
 # So many are kept, and so many bytes of pictures.
@@ -42,6 +44,8 @@ class KeptTrial:
     cell : (row, col)
     caption, text, name : str
         What was used, what differs from the trial before, and the user's name for it, or "".
+    frames : str
+        Where the frames lie that it was tried on; "" if that is not known.
     """
 
     number: int
@@ -51,6 +55,7 @@ class KeptTrial:
     caption: str
     text: str
     name: str = ""
+    frames: str = ""
 
 
 def worth_keeping(trials: Sequence[KeptTrial]) -> list[KeptTrial]:
@@ -65,19 +70,100 @@ def worth_keeping(trials: Sequence[KeptTrial]) -> list[KeptTrial]:
     return [trial for trial in trials if trial.number in chosen]
 
 
-def write_trials(trials: Sequence[KeptTrial], folder: Path) -> None:
+def merged(
+    ours: Sequence[KeptTrial], base: Sequence[KeptTrial], theirs: Sequence[KeptTrial]
+) -> list[KeptTrial]:
+    """Bring together the trials of two windows; settings tell trials apart.
+
+    Parameters
+    ----------
+    ours : sequence of KeptTrial
+        They keep their numbers; of a trial that both have, ours counts if we changed it.
+    base : sequence of KeptTrial
+        What was in the file when we read or wrote it last; what is missing of it in ``ours`` was
+        removed by us.
+    theirs : sequence of KeptTrial
+        What is in the file now.
+
+    Returns
+    -------
+    list of KeptTrial
+        By number; each number is given once.
+    """
+    before = {_key(trial): trial for trial in base}
+    there = {_key(trial): trial for trial in theirs}
+    found = []
+    for trial in ours:
+        key = _key(trial)
+        ours_changed = key not in before or before[key].name != trial.name
+        name = trial.name if ours_changed or key not in there else there[key].name
+        found.append(replace(trial, name=name))
+    known = {_key(trial) for trial in ours} | set(before)
+    taken = {trial.number for trial in found}
+    for trial in theirs:
+        if _key(trial) not in known:
+            number = trial.number if trial.number not in taken else max(taken) + 1
+            taken.add(number)
+            found.append(replace(trial, number=number))
+    return sorted(found, key=lambda trial: trial.number)
+
+
+def _key(trial: KeptTrial) -> str:
+    return json.dumps(trial.settings.model_dump(mode="json"), sort_keys=True)
+
+
+def write_trials(
+    trials: Sequence[KeptTrial], folder: Path, base: Sequence[KeptTrial] | None = None
+) -> int:
     """Write what is `worth_keeping` of some trials, whole or not at all.
+
+    What another window has put into the file since is kept, see `merged`.
+
+    Parameters
+    ----------
+    trials : sequence of KeptTrial
+    folder : Path
+        Result folder.
+    base : sequence of KeptTrial, optional
+        What we read from this file or wrote into it last; None if it is new to us: then trials of
+        other frames in it are replaced.
+
+    Returns
+    -------
+    int
+        How many trials of other frames were replaced.
 
     Raises
     ------
     InspectionError
-        If it can't be written; then an earlier file is as it was.
+        If it can't be written, or has become a list of other frames; then the file is as it was.
     """
     if not folder.is_dir():
         raise InspectionError(
             f"The trials can't be written to {folder}: the folder is gone; save the result again."
         )
-    kept = worth_keeping(trials)
+    frames = {trial.frames for trial in trials}
+    with changing(folder):
+        theirs: Sequence[KeptTrial] = ()
+        with suppress(InspectionError):  # a damaged list was told when it was read
+            theirs = read_trials(folder)
+        known = {_key(trial) for trial in base or ()}
+        # A list that we know may have moved along with its frames.
+        others = [t for t in theirs if t.frames not in frames and _key(t) not in known]
+        if base is not None:
+            others = [trial for trial in others if trial.frames]  # earlier versions did not say it
+        if base is not None and others:
+            raise InspectionError(
+                f"Another window has saved a result of other frames to {folder}: the trials of "
+                "this one are not kept there; save it to another folder."
+            )
+        same = [trial for trial in theirs if trial not in others]
+        kept = worth_keeping(merged(trials, base or (), same))
+        replace_file(folder / TRIALS_NPZ, _content(kept))
+    return len(others)
+
+
+def _content(kept: Sequence[KeptTrial]) -> bytes:
     about = [
         {
             "number": trial.number,
@@ -86,13 +172,14 @@ def write_trials(trials: Sequence[KeptTrial], folder: Path) -> None:
             "caption": trial.caption,
             "text": trial.text,
             "name": trial.name,
+            "frames": trial.frames,
         }
         for trial in kept
     ]
     pictures = {f"picture_{k}": trial.image.astype(np.float16) for k, trial in enumerate(kept)}
     content = io.BytesIO()
     np.savez(content, about=np.array(json.dumps(about)), **pictures)  # type: ignore[arg-type]
-    replace_file(folder / TRIALS_NPZ, content.getvalue())
+    return content.getvalue()
 
 
 def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
@@ -140,6 +227,7 @@ class _TrialRecord(Record):
     caption: Text
     text: Text
     name: Text
+    frames: Text = ""
 
 
 def _trial(record: _TrialRecord, picture: NDArray[np.generic]) -> KeptTrial:
@@ -153,4 +241,5 @@ def _trial(record: _TrialRecord, picture: NDArray[np.generic]) -> KeptTrial:
         record.caption,
         record.text,
         record.name,
+        record.frames,
     )

@@ -192,7 +192,7 @@ def test_an_unwritable_out_is_refused_before_anything_is_computed(
     frames: Path, tmp_path: Path, quick: list[Settings]
 ) -> None:
     (tmp_path / "file").write_text("mine")
-    refused(called("run", frames, "--out", tmp_path / "file" / "out"), "can't be written")
+    refused(called("run", frames, "--out", tmp_path / "file" / "out"), "is a file, so that")
     refused(called("run", frames, "--out", frames), "not empty")
     assert quick == []
 

@@ -200,7 +200,7 @@ def test_an_interrupt_while_writing_leaves_the_earlier_result(
     real = Path.rename
 
     def cut(self: Path, target: Path) -> Path:
-        if self.name == ".out.partial":
+        if self.name.startswith(".out.partial-"):
             raise KeyboardInterrupt
         return real(self, target)
 
@@ -233,14 +233,14 @@ def test_a_file_or_a_place_where_nothing_can_be_made_is_refused_before_the_run(
     (tmp_path / "file").write_text("")
     with pytest.raises(InspectionError, match="is a file: give a folder"):
         check_writable(tmp_path / "file")
-    with pytest.raises(InspectionError, match=r"nothing can be created in .*file"):
+    with pytest.raises(InspectionError, match="is a file, so that there can't be"):
         check_writable(tmp_path / "file" / "out")
 
     def denied(self: Path) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(Path, "mkdir", denied)
-    with pytest.raises(InspectionError, match=r"\(Permission denied\); give another folder"):
+    with pytest.raises(InspectionError, match=r"is read-only \(Permission denied\); allow"):
         check_writable(tmp_path / "out")
 
 

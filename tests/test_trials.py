@@ -136,3 +136,43 @@ def test_a_folder_that_went_away_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InspectionError, match="the folder is gone"):
         write_trials([trial(1)], tmp_path / "gone")
     assert not list(tmp_path.iterdir())
+
+
+def numbers_and_weights(folder: Path) -> list[tuple[int, float | None]]:
+    return [(t.number, t.settings.prior_weight) for t in read_trials(folder)]
+
+
+def test_two_windows_keep_each_others_trials(tmp_path: Path) -> None:
+    shared = [trial(1)]
+    write_trials(shared, tmp_path)
+    ours, theirs = [*shared, trial(2)], [*shared, replace(trial(3), number=2)]
+    write_trials(ours, tmp_path, shared)
+    write_trials(theirs, tmp_path, shared)
+    assert {w for _, w in numbers_and_weights(tmp_path)} == {0.1, 0.2, 3 * 0.1}
+    ours = [*ours, trial(4)]
+    write_trials(ours, tmp_path, ours[:2])
+    found = numbers_and_weights(tmp_path)
+    assert {w for _, w in found} == {0.1, 0.2, 3 * 0.1, 0.4}
+    assert len({n for n, _ in found}) == 4
+
+
+def test_a_name_given_in_one_window_survives_a_trial_made_in_the_other(tmp_path: Path) -> None:
+    shared = [trial(1), trial(2)]
+    write_trials(shared, tmp_path)
+    named = [replace(shared[0], name="best"), shared[1]]
+    write_trials(named, tmp_path, shared)
+    write_trials([*shared, trial(3)], tmp_path, shared)
+    assert [t.name for t in read_trials(tmp_path)] == ["best", "", ""]
+
+
+def test_trials_of_other_frames_are_never_mixed_in(tmp_path: Path) -> None:
+    first = [replace(trial(1), frames="/a")]
+    second = [replace(trial(2), frames="/b")]
+    write_trials(first, tmp_path)
+    assert write_trials(second, tmp_path) == 1
+    assert [t.frames for t in read_trials(tmp_path)] == ["/b"]
+    with pytest.raises(InspectionError, match="a result of other frames"):
+        write_trials([*first, replace(trial(3), frames="/a")], tmp_path, first)
+    assert [t.frames for t in read_trials(tmp_path)] == ["/b"]
+    # The folder has moved together with its frames.
+    assert write_trials([replace(second[0], frames="/moved/b")], tmp_path, second) == 0

@@ -38,6 +38,9 @@ class TrialKeeper(QObject):
         self._thread = ThreadPoolExecutor(1, "trials")
         self._due: tuple[Trial, ...] = ()
         self._kept: tuple[Trial, ...] = ()
+        # What is known of the file; only the thread looks at it once it runs.
+        self._base: tuple[KeptTrial, ...] | None = None
+        self._frames = ""
         self._complained = False
         self.folder: Path | None = None
         self._timer = QTimer(self)
@@ -51,6 +54,8 @@ class TrialKeeper(QObject):
     def attach(self, folder: Path) -> None:
         """Keep the trials beside a result that was just saved; those so far go with it."""
         self._write()  # what is due belongs to the folder before as well
+        if folder != self.folder:
+            self._thread.submit(self._set_base, None)
         self.folder, self._kept, self._complained = folder, (), False
         self._on_trials()
 
@@ -61,7 +66,9 @@ class TrialKeeper(QObject):
             kept = read_trials(result.folder)
         except InspectionError as error:
             self._model.notice(str(error), is_error=True)
+            self._thread.submit(self._set_base, ())
             return
+        self._thread.submit(self._set_base, kept)
         layout = result.grid.layout
         self._kept = tuple(
             Trial(
@@ -88,6 +95,8 @@ class TrialKeeper(QObject):
         trials = self._tuning.trials
         if self.folder is not None and trials and trials != self._kept:
             self._due = trials
+            sequence = self._model.sequence
+            self._frames = "" if sequence is None else str(sequence.source.resolve())
             self._timer.start()
 
     def _on_sequence(self, _: object) -> None:
@@ -99,10 +108,13 @@ class TrialKeeper(QObject):
         due, self._due = self._due, ()
         if due and self.folder is not None:
             self._kept = due
-            self._thread.submit(self._written, due, self.folder)
+            self._thread.submit(self._written, due, self.folder, self._frames)
 
-    def _written(self, trials: tuple[Trial, ...], folder: Path) -> None:
-        kept = [
+    def _set_base(self, base: tuple[KeptTrial, ...] | None) -> None:
+        self._base = base
+
+    def _written(self, trials: tuple[Trial, ...], folder: Path, frames: str) -> None:
+        kept = tuple(
             KeptTrial(
                 trial.number,
                 trial.settings,
@@ -111,13 +123,20 @@ class TrialKeeper(QObject):
                 trial.picture.caption,
                 trial.text,
                 trial.name,
+                frames,
             )
             for trial in trials
-        ]
+        )
         try:
-            write_trials(kept, folder)
+            replaced = write_trials(kept, folder, self._base)
         except InspectionError as error:
             self._failed.emit(str(error))
+            return
+        self._base = kept
+        if replaced:
+            self._failed.emit(
+                f"{replaced} settings tried on other frames lay in {folder}: they were replaced."
+            )
 
     def _on_failure(self, text: str) -> None:
         # Once is enough: nobody loses more than the list.

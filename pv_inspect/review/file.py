@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import RLock
 from time import monotonic, sleep
@@ -99,6 +99,21 @@ class ReviewFile:
         found = self.path.stat()
         return found.st_dev, found.st_ino
 
+    def _begun(self) -> sqlite3.Connection:
+        """Begin a transaction on the file that has the name now.
+
+        A result that is replaced without hard links holds the transaction up until the file is
+        another one; what was stored in the old one would be lost.
+        """
+        while True:
+            connection = self._open(create=True)
+            assert connection is not None
+            connection.execute("BEGIN IMMEDIATE")
+            with suppress(OSError):
+                if self._identity() == self._file:
+                    return connection
+            connection.execute("ROLLBACK")
+
     @contextmanager
     def reading(self) -> Iterator[sqlite3.Connection | None]:
         """Read in the block; None if nothing was ever stored."""
@@ -119,9 +134,7 @@ class ReviewFile:
         with self._lock:
             self._end_s = monotonic() + self._busy_s + _PATIENCE_S
             try:
-                connection = self._open(create=True)
-                assert connection is not None
-                connection.execute("BEGIN IMMEDIATE")
+                connection = self._begun()
                 try:
                     yield connection
                     connection.execute("COMMIT")

@@ -22,7 +22,7 @@ from pv_inspect.simulate.exposure import (
     choose_poses,
     project_points,
 )
-from pv_inspect.simulate.files import check_target, write_sequence
+from pv_inspect.simulate.files import check_target, reserve_sequence, write_sequence
 from pv_inspect.simulate.mixture import (
     SimulatedMixture,
     mirrored,
@@ -43,6 +43,7 @@ __all__ = [
     "check_target",
     "mirrored",
     "modules_of_one_make",
+    "reserve_sequence",
     "simulate",
     "simulate_mixture",
     "simulated",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +14,14 @@ import numpy as np
 import tifffile
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.output_paths import output_folder
+from pv_inspect.reservations import locked_output
+from pv_inspect.temporaries import PARTIAL, is_dead, leftovers, lock_of, own
 
 if TYPE_CHECKING:
     from pv_inspect.simulate import SimulatedSequence
 
-__all__ = ["check_target", "truth_dict", "write_sequence"]
+__all__ = ["check_target", "reserve_sequence", "truth_dict", "write_sequence"]
 
 _MAX_RADIANCE = 1.5
 """Radiance of the brightest value of hr.png."""
@@ -113,6 +117,24 @@ def check_target(folder: Path) -> None:
         )
 
 
+@contextmanager
+def reserve_sequence(folder: Path) -> Iterator[None]:
+    """Check as `check_target` does, and keep other processes from writing there in the block.
+
+    Raises
+    ------
+    InspectionError
+        As `check_target`, or if another process is writing there, or nothing can be.
+    """
+    folder = output_folder(folder)
+    check_target(folder)
+    with locked_output(folder, lock_of(folder), 0.0):
+        for left in leftovers(folder, PARTIAL):
+            if is_dead(left):
+                shutil.rmtree(left, ignore_errors=True)
+        yield
+
+
 def _unwritable(folder: Path, error: OSError) -> InspectionError:
     return InspectionError(
         f"{folder} can't be written ({error.strerror or error}): "
@@ -134,9 +156,9 @@ def write_sequence(sequence: SimulatedSequence, folder: Path) -> None:
     InspectionError
         If the folder holds something already, or can't be written.
     """
-    folder = Path(folder).absolute()
+    folder = output_folder(folder)
     check_target(folder)
-    beside = folder.with_name(f".{folder.name}.{os.getpid()}.part")
+    beside = own(folder, PARTIAL)
     try:
         beside.mkdir(parents=True)
         _write_into(sequence, beside, folder.name)
