@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, printable
 from pv_inspect.frame_files import expand, natural_key, read_floats, read_frame
 from pv_inspect.image_files.jpeg import read_photo
 from pv_inspect.image_files.limits import ReadLimits
@@ -63,13 +64,19 @@ def image_files(given: Iterable[Path]) -> list[Path]:
     """
     files: list[Path] = []
     for path in given:
-        if path.is_dir():
-            inside = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
-            files += sorted(inside, key=lambda p: natural_key(p.name))
-        elif path.is_file():
-            files.append(path)
-        else:
-            raise InspectionError(f"{path} does not exist: give images of cells or a folder.")
+        try:
+            if path.is_dir():
+                files += sorted(
+                    filter(_is_image, path.iterdir()), key=lambda p: natural_key(p.name)
+                )
+            elif os.path.lexists(path):
+                files.append(path)
+            else:
+                raise InspectionError(f"{path} does not exist: give images of cells or a folder.")
+        except OSError as error:
+            raise InspectionError(
+                f"{path} can't be read ({error.strerror}): check its name and its permissions."
+            ) from None
     if not files:
         raise InspectionError(
             f"There are no images in {', '.join(str(p) for p in given)}: give images of cells "
@@ -84,6 +91,12 @@ def image_files(given: Iterable[Path]) -> list[Path]:
                 "give them one after the other."
             )
     return files
+
+
+def _is_image(path: Path) -> bool:
+    """Whether the name says so; what is no file after all is told when it is read."""
+    hidden = path.name.startswith(".")
+    return path.suffix.lower() in SUFFIXES and not hidden and not path.is_dir()
 
 
 def read_cell(path: Path, limits: ReadLimits | None = None) -> Image:
@@ -207,7 +220,7 @@ def cells_csv(cells: Iterable[PlainCell]) -> str:
     def lines() -> Iterator[list[str]]:
         yield ["file", *FEATURES, "crack_class"]
         for cell in cells:
-            yield [f"{cell.stem}.tif", *texts(cell.features), cell.features.crack_class]
+            yield [f"{printable(cell.stem)}.tif", *texts(cell.features), cell.features.crack_class]
 
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(lines())

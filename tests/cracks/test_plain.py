@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from pathlib import Path
 
@@ -61,6 +62,27 @@ def test_a_bad_image_is_told_and_the_others_are_done(images: Path, tmp_path: Pat
     assert result.exit_code == 1
     assert [line.split()[1] for line in result.stderr.splitlines()] == ["broken.png", "same.tif"]
     assert len(list((tmp_path / "out").glob("*.tif"))) == 4
+
+
+def test_what_is_no_file_is_told_and_the_others_are_done(images: Path, tmp_path: Path) -> None:
+    (images / "gone.png").symlink_to("nothing.png")
+    (images / "circle.jpg").symlink_to("circle.jpg")
+    os.mkfifo(images / "pipe.tif")
+    (images / "bomb.bmp").write_bytes(
+        b"BM" + bytes(16) + b"\x30\x75\0\0\x30\x75\0\0\1\0\x18\0" + bytes(30)
+    )
+    (images / "clean.tif").rename(images / os.fsdecode(b"cl\x1b[31m\xff.tif"))
+    result = called(images, "--out", tmp_path / "out", "--max-frame-mpx", 1)
+    assert result.exit_code == 1
+    assert [line.split(": ", 1)[1][:27] for line in result.stderr.splitlines()] == [
+        "bomb.bmp is 30000 x 30000 p",
+        "circle.jpg is a link that l",
+        "gone.png is a link to nothi",
+        "pipe.tif is no file but a p",
+    ]
+    table = (tmp_path / "out" / "cells.csv").read_text(encoding="utf-8")
+    assert r"cl\x1b[31m\udcff.tif" in table
+    assert len(table.splitlines()) == 5
 
 
 @pytest.mark.parametrize(
