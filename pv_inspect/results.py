@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 from collections.abc import Iterator
@@ -20,6 +19,7 @@ from pv_inspect.calibration import focal_length_source
 from pv_inspect.camera import Camera
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap
 from pv_inspect.cracks.features import FEATURES, from_texts, texts
+from pv_inspect.csv_tables import csv_lines, csv_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import Reservation, read_steadily, recovered
 from pv_inspect.layout import HrGrid, ModuleLayout
@@ -415,14 +415,12 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
 
 
 def _csv(cells: tuple[CellFeatures, ...]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", "col", "tile", *FEATURES, "crack_class", "marked_class"])
+    rows: list[list[object]] = [["row", "col", "tile", *FEATURES, "crack_class", "marked_class"]]
     for cell in cells:
         tile = f"{CELLS_FOLDER}/{tile_name(cell.row, cell.col)}"
         classes = cell.crack_class, cell.marked_class
-        writer.writerow([cell.row + 1, cell.col + 1, tile, *texts(cell), *classes])
-    return text.getvalue()
+        rows.append([cell.row + 1, cell.col + 1, tile, *texts(cell), *classes])
+    return csv_text(rows)
 
 
 def _shape_of(path: Path) -> tuple[int, int]:
@@ -468,8 +466,7 @@ def _check_place(grid: HrGrid) -> None:
 
 def _cells_from(text: str, layout: ModuleLayout) -> tuple[CellFeatures, ...]:
     cells = tuple(
-        from_texts(int(line["row"]) - 1, int(line["col"]) - 1, line)
-        for line in csv.DictReader(io.StringIO(text))
+        from_texts(int(line["row"]) - 1, int(line["col"]) - 1, line) for line in csv_lines(text)
     )
     if [(cell.row, cell.col) for cell in cells] != list(np.ndindex(layout.rows, layout.cols)):
         raise ValueError(

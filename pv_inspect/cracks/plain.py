@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
 from collections.abc import Iterable, Iterator
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
+from pv_inspect.csv_tables import csv_text
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.frame_files import expand, natural_key, read_floats, read_frame
 from pv_inspect.image_files.jpeg import read_photo
@@ -217,11 +217,9 @@ def tiff_bytes(probability: Image) -> bytes:
 def cells_csv(cells: Iterable[PlainCell]) -> str:
     """Return a table of the features, one line per image."""
 
-    def lines() -> Iterator[list[str]]:
+    def lines() -> Iterator[list[object]]:
         yield ["file", *FEATURES, "crack_class"]
         for cell in cells:
             yield [f"{printable(cell.stem)}.tif", *texts(cell.features), cell.features.crack_class]
 
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(lines())
-    return text.getvalue()
+    return csv_text(lines())

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.cracks.features import FEATURES, texts
+from pv_inspect.csv_tables import csv_text
 from pv_inspect.review.verdicts import Cell, Verdict
 
 __all__ = ["DISAGREED", "agreed", "raters_of", "verdicts_csv"]
@@ -59,18 +58,16 @@ def verdicts_csv(cells: Sequence[CellFeatures], verdicts: Sequence[Verdict]) -> 
     raters = raters_of(verdicts)
     given = {(verdict.cell, verdict.rater): verdict for verdict in verdicts}
     common = agreed(verdicts)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     columns = [f"{name} ({rater})" for rater in raters for name in _OF_RATER]
-    writer.writerow(["row", "col", "verdict", *columns, *FEATURES, "crack_class"])
+    rows: list[list[object]] = [["row", "col", "verdict", *columns, *FEATURES, "crack_class"]]
     for cell in cells:
         at = cell.row, cell.col
         found = [given.get((at, rater)) for rater in raters]
         said = ["" if v is None else value(v) for v in found for value in _OF_RATER.values()]
-        writer.writerow(
+        rows.append(
             [cell.row + 1, cell.col + 1, common.get(at, ""), *said, *texts(cell), cell.crack_class]
         )
-    return text.getvalue()
+    return csv_text(rows)
 
 
 def _number(value: float | None) -> str:
