@@ -5,6 +5,11 @@ The names below are loaded when they are first used: ``import pv_inspect`` itsel
 
 from __future__ import annotations
 
+from pv_inspect import starting
+
+if starting.is_the_command():  # before the other imports: a Ctrl-C may come at once
+    starting.exit_at_once()
+
 import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -48,9 +48,12 @@ class Course:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if isinstance(error, KeyboardInterrupt):
+        stop = signals.came()
+        if stop is not None or isinstance(error, KeyboardInterrupt):
             self.said = self.so_far()
         try:
             self._stack.__exit__(kind, error, trace)
         finally:
             signals.ignore()
+        if stop is not None and error is not None:
+            raise stop from None  # whatever became of it on the way

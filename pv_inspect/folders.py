@@ -23,7 +23,7 @@ from pv_inspect.exchange import exchange
 from pv_inspect.locks import FileLock, HeldError, folder_held
 from pv_inspect.output_paths import FULL, cant_write, output_folder, shown
 from pv_inspect.reservations import locked_output
-from pv_inspect.signals import held_back
+from pv_inspect.signals import check, held_back
 from pv_inspect.temporaries import MOVING, PARTIAL, PREVIOUS, is_dead, leftovers, lock_of, own
 
 __all__ = [
@@ -143,6 +143,7 @@ class Reservation:
             for name, content in files:
                 (growing[0] / name).parent.mkdir(exist_ok=True)
                 _write_file(growing[0] / name, content)
+                check()
             self._move_into_place(*growing)
         except BaseException as error:
             with held_back():

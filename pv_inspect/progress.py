@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
+from pv_inspect import signals
 from pv_inspect.generators import relayed, result_of
 from pv_inspect.notebook import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step
@@ -48,7 +49,12 @@ def follow_fraction(work: Generator[float, None, T], what: str, quiet: bool = Fa
     quiet : bool
         Show nothing.
     """
-    return _drive(relayed(work, lambda fraction: (what, fraction, what, False)), quiet)
+
+    def event(fraction: float) -> _Event:
+        signals.check()
+        return what, fraction, what, False
+
+    return _drive(relayed(work, event), quiet)
 
 
 # (what is at work, fraction of the whole, message, whether the message closes a stage)
@@ -56,6 +62,7 @@ _Event = tuple[str, float, str, bool]
 
 
 def _event(step: Step) -> _Event:
+    signals.check()
     # During the reconstruction `partial` is a preview; only a whole part ends a stage.
     unfinished = step.partial is None or isinstance(step.partial, np.ndarray)
     ends = step.stage is Stage.LOAD or not unfinished

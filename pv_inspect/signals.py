@@ -1,7 +1,4 @@
-"""What Ctrl-C, a kill and a closed terminal do to a command: it cleans up and says one sentence.
-
-Loads nothing heavy: the handlers are there before the imports of a command begin.
-"""
+"""What Ctrl-C, a kill and a closed terminal do to a command: it cleans up and says one sentence."""
 
 from __future__ import annotations
 
@@ -14,8 +11,13 @@ from time import monotonic
 from types import FrameType
 from typing import Any
 
+from pv_inspect import starting
+from pv_inspect.starting import NUMBERS, word_of
+
 __all__ = [
     "Stopped",
+    "came",
+    "check",
     "exit_at_once",
     "held_back",
     "ignore",
@@ -25,15 +27,12 @@ __all__ = [
     "usual",
 ]
 
-_NUMBERS = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
-_WORDS = {"SIGINT": "Interrupted", "SIGTERM": "Terminated", "SIGHUP": "The terminal was closed"}
 # A second Ctrl-C does not disturb the cleaning; when that has taken so long, it ends the process.
 _PATIENCE_S = 5.0
 
 _installed = False
-_stopped_at = 0.0
+_came = 0
+_came_at = 0.0
 
 
 class Stopped(KeyboardInterrupt):
@@ -54,7 +53,7 @@ def exit_at_once() -> None:
     """From now on a signal ends the process on the spot, with one sentence: nothing is at work."""
     global _installed
     _installed = True
-    _install(_exit)
+    starting.exit_at_once()
 
 
 def raise_from_now() -> None:
@@ -81,6 +80,20 @@ def usual() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def came() -> Stopped | None:
+    """Return what asked this process to end.
+
+    Compiled code and callbacks may turn the exception into another one, or lose it.
+    """
+    return Stopped(_came) if _came else None
+
+
+def check() -> None:
+    """Raise `Stopped` if this process was asked to end; for the steps of long work."""
+    if _came:
+        raise Stopped(_came)
+
+
 def stop_code(error: KeyboardInterrupt) -> int:
     """Exit code for what has stopped the process: 128 and the number of the signal."""
     return 128 + getattr(error, "number", signal.SIGINT)
@@ -88,7 +101,7 @@ def stop_code(error: KeyboardInterrupt) -> int:
 
 def stop_word(error: KeyboardInterrupt) -> str:
     """What has stopped the process, as the first words of a sentence."""
-    return _word(getattr(error, "number", signal.SIGINT))
+    return word_of(getattr(error, "number", signal.SIGINT))
 
 
 @contextmanager
@@ -102,7 +115,7 @@ def held_back() -> Iterator[None]:
     def note(number: int, _: FrameType | None) -> None:
         came.append(number)
 
-    before = {number: signal.signal(number, note) for number in _NUMBERS if _is_python(number)}
+    before = {number: signal.signal(number, note) for number in NUMBERS if _is_python(number)}
     try:
         yield
     finally:
@@ -118,27 +131,15 @@ def _is_python(number: int) -> bool:
 
 
 def _install(handler: Any) -> None:
-    for number in _NUMBERS:
-        # `nohup` has the closed terminal ignored.
-        if signal.getsignal(number) is not signal.SIG_IGN or number != getattr(
-            signal, "SIGHUP", None
-        ):
+    for number in NUMBERS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as `nohup` has it
             signal.signal(number, handler)
 
 
-def _word(number: int) -> str:
-    return _WORDS.get(signal.Signals(number).name, "Stopped")
-
-
-def _exit(number: int, _: FrameType | None) -> None:
-    os.write(2, f"pv-inspect: {_word(number)}; nothing was written.\n".encode())
-    os._exit(128 + number)
-
-
 def _raise(number: int, _: FrameType | None) -> None:
-    global _stopped_at
-    if not _stopped_at:
-        _stopped_at = monotonic()
+    global _came, _came_at
+    if not _came:
+        _came, _came_at = number, monotonic()
         raise Stopped(number)
-    if monotonic() - _stopped_at > _PATIENCE_S:
+    if monotonic() - _came_at > _PATIENCE_S:
         os._exit(128 + number)
