@@ -212,7 +212,7 @@ class Fit:
     def px_per_unit(self, i: int) -> float:
         """Scale of frame i at the origin of the plane, LR px per unit of the plane."""
         J = self.camera.jacobian(self.homographies[i], np.zeros((1, 2)))[0]
-        return float(np.sqrt(abs(np.linalg.det(J))))
+        return float(np.sqrt(abs(np.linalg.det(J)))) if np.isfinite(J).all() else 0.0
 
     def robust_scale(self) -> float:
         """Median-based scale of all residuals in units of sigma_px."""

@@ -362,7 +362,8 @@ class _Frames:
         reason, count = Counter(self.why).most_common(1)[0]
         raise InspectionError(
             f"The module could not be located in any of the {self.n} frames ({reason} in {count}): "
-            "check rows, cols and cell_aspect, and that the whole module is in view."
+            "check rows, cols, cell_aspect, a kappa or focal length that is given, and that the "
+            "whole module is in view."
         )
 
 

@@ -21,7 +21,7 @@ from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.module_choice import choose_module
-from pv_inspect.registration import Registration, left_out, module_mean
+from pv_inspect.registration import NOT_CONVERGED, Registration, left_out, module_mean
 from pv_inspect.sequence import Frame, Sequence
 from pv_inspect.settings import Settings
 
@@ -176,8 +176,9 @@ def _homography(source: Array, target: Array) -> Array | None:
     good = np.isfinite(source).all(axis=1) & np.isfinite(target).all(axis=1)
     if good.sum() < 4:
         return None
-    found, _ = cv2.findHomography(source[good], target[good], 0)
-    H = np.asarray(found, np.float64)  # all-NaN if there is none
+    H = np.asarray(cv2.findHomography(source[good], target[good], 0)[0], np.float64)
+    if H.shape != (3, 3):  # there is none
+        return None
     return H if np.isfinite(H).all() and abs(np.linalg.det(H)) > 1e-12 else None
 
 
@@ -265,11 +266,16 @@ def _with_photometry(
     rays = state.camera.to_normalised(np.stack([cols, rows], axis=-1))
     size = 0.5 * max(grid.shape)
     gain, offset, rms = state.gain.copy(), state.offset.copy(), state.rms.copy()
+    lost = []
     for index in np.flatnonzero(state.used):
         frame = sequence.frame(int(index))
         sigma = sequence.noise.sigma(cv2.GaussianBlur(frame.image, (0, 0), 2.0))
         precision = np.where(frame.valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
-        to_grid = np.asarray(np.linalg.inv(state.homographies[index] @ grid.matrix), np.float64)
+        try:
+            to_grid = np.asarray(np.linalg.inv(state.homographies[index] @ grid.matrix), np.float64)
+        except np.linalg.LinAlgError:
+            lost.append(int(index))
+            continue
         for last in (False, False, True):
             A, b, chi2, n = normal_equations(
                 frame.image,
@@ -292,14 +298,16 @@ def _with_photometry(
                 gain[index] = np.clip(gain[index] + step[0], 0.05, 20.0)
                 offset[index] += step[1]
         yield 0.85 + 0.15 * (int(index) + 1) / len(sequence)
-    used = state.used
+    used = state.used.copy()
+    used[lost] = False
+    why = tuple(NOT_CONVERGED if i in lost else reason for i, reason in enumerate(state.why))
     gain[used] /= np.exp(np.log(gain[used]).mean())
     return Registration(
         state.layout,
         state.camera,
         state.homographies,
         used,
-        state.why,
+        why,
         np.where(used, gain, 1.0),
         np.where(used, offset, 0.0),
         rms,

@@ -112,6 +112,11 @@ class HrGrid:
         margin : float
             Border around the cells, module units.
         """
+        if not 0.0 < lr_px_per_unit < np.inf:
+            raise InspectionError(
+                f"The poses of the frames give the module no size ({lr_px_per_unit} px per cell): "
+                "check rows, cols, and the focal length and kappa that are given."
+            )
         ppu = float(max(round(lr_px_per_unit * magnification), 1))
         pad = int(np.ceil(margin * ppu))
         width, height = layout.size

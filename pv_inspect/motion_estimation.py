@@ -8,6 +8,7 @@ share, the optics above all, is part of F and does not matter.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -87,9 +88,11 @@ def estimate_motion(sequence: Sequence, registration: Registration) -> Array:
     n_groups = max(int(np.ceil(used.size / _GROUP)), 1)
     for group in (used[k::n_groups] for k in range(n_groups)):
         if group.size >= _MIN_FRAMES:
-            spectra = cross_spectra(sequence, registration, group)
-            if spectra is not None:
-                motion[group] = fit_motion(spectra)
+            # Spectra that determine no motion leave the frames still.
+            with suppress(np.linalg.LinAlgError):
+                spectra = cross_spectra(sequence, registration, group)
+                if spectra is not None:
+                    motion[group] = np.nan_to_num(fit_motion(spectra))
     return motion
 
 
@@ -130,6 +133,8 @@ def cross_spectra(
     jacobians = [registration.camera.jacobian(registration.homographies[i], centre) for i in frames]
     # x_sensor = A x_grid, hence f_grid . A^-1 m = (A^-T f_grid) . m.
     frequencies = [on_grid @ np.linalg.inv(j[0] / grid.pixels_per_unit) for j in jacobians]
+    if not np.isfinite(frequencies).all():
+        return None
     scale = n * float((window.astype(np.float64) ** 2).sum())
     return CrossSpectra(power / scale, np.array(frequencies), n)
 

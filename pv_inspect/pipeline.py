@@ -25,11 +25,13 @@ from pv_inspect.generators import relayed, result_of
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import guess_layout, is_known
+from pv_inspect.memory import need_memory
 from pv_inspect.notebook import in_notebook
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration, register
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
+from pv_inspect.solver_errors import in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -245,7 +247,8 @@ def inspect(
     settings = settings if settings is not None else Settings()
     begun = perf_counter()
     kept = start if start is not None and start.sequence is sequence else None
-    layout, guessed = _layout(sequence, settings, kept)
+    with in_words(Stage.DETECT.value):
+        layout, guessed = _layout(sequence, settings, kept)
     if kept is None:
         state = Inspection(sequence, settings, layout, layout_guessed=guessed)
     else:
@@ -265,7 +268,7 @@ def inspect(
             while True:
                 begun = perf_counter()
                 try:
-                    with in_turn():
+                    with in_turn(), in_words(stage.value):
                         inner, message, preview = next(work)
                 except StopIteration as end:
                     part: Part = end.value
@@ -322,6 +325,7 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
     """Run one stage; yields (fraction of the stage, message, preview)."""
     sequence, settings = state.sequence, state.settings
     if stage is Stage.DETECT:
+        need_memory(sequence.frame(0).image, state.layout, settings.magnification)
         steps = detect(sequence, state.layout, settings.module_at)
         return (yield from _told(steps, "looking for the cell crossings"))
     if stage is Stage.CALIBRATE:

@@ -39,13 +39,17 @@ _SEED = 20
 def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> HrGrid:
     """Return the square window of a grid with the most detail in a first image of it."""
     side = int(min(side_lr_px * grid.magnification, *grid.shape))
-    gy, gx = np.gradient(image)
-    energy = np.minimum(np.abs(gx) + np.abs(gy), 4.0 * float(np.mean(np.abs(gx) + np.abs(gy))))
+    # In place, for the grid of a large sensor has a hundred million pixels.
+    down, across = np.gradient(image)
+    energy = np.asarray(np.abs(down), np.float32)
+    del down
+    energy += np.abs(across)
+    del across
+    np.minimum(energy, 4.0 * float(np.mean(energy)), out=energy)
     # The outline of the module is no detail of cells, and its surroundings are dark.
     x0, y0 = np.maximum(np.ceil(grid.to_pixels(np.zeros(2))).astype(int), 0)
     x1, y1 = np.floor(grid.to_pixels(np.asarray(grid.layout.size))).astype(int)
     x1, y1 = max(x1 - side, x0), max(y1 - side, y0)
-    table = np.pad(np.cumsum(np.cumsum(energy, axis=0, dtype=np.float64), axis=1), ((1, 0), (1, 0)))
     y0, y1, x0, x1 = (
         int(np.clip(v, 0, n - side))
         for v, n in (
@@ -58,9 +62,10 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
     ys, xs = np.meshgrid(
         np.linspace(y0, y1, 24).astype(int), np.linspace(x0, x1, 24).astype(int), indexing="ij"
     )
-    total = (
-        table[ys + side, xs + side] - table[ys, xs + side] - table[ys + side, xs] + table[ys, xs]
-    )
+    total = [
+        float(energy[y : y + side, x : x + side].sum(dtype=np.float64))
+        for y, x in zip(ys.ravel(), xs.ravel(), strict=True)
+    ]
     k = int(np.argmax(total))
     y, x = int(ys.ravel()[k]), int(xs.ravel()[k])
     return grid.window(slice(y, y + side), slice(x, x + side))

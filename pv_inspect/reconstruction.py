@@ -14,6 +14,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.generators import relayed
 from pv_inspect.held_out import Trial, choose_prior_weight, typical_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
+from pv_inspect.memory import require_memory
 from pv_inspect.motion import length_and_angle
 from pv_inspect.motion_estimation import estimate_motion
 from pv_inspect.observation import SensorRays
@@ -172,6 +173,7 @@ def reconstruct(
     if settings.motion_blur == "auto":
         yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
+    require_memory(sequence.shape, grid, motion)
     photometry: Photometry | None = None
     look: Image | None = None
     if settings.second_look:
@@ -371,7 +373,9 @@ def _estimate_psf(
     # One frame, rectified, shows where detail is.
     look = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
     smooth = cv2.GaussianBlur(look, (0, 0), max(grid.magnification / 2, 0.5))
+    del look
     window = window_of(grid, np.asarray(smooth, np.float32))
+    del smooth
     yield Progress(0.25, "estimating the PSF")
     views = []
     for i in used:

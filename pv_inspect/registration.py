@@ -54,6 +54,7 @@ ROUNDS = (
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
 STRAIGHTENING_MAGNIFICATION = 3.0
 LEFT_OUT = "left out as the settings say"
+NOT_CONVERGED = "registration did not converge"
 KAPPA_SLACK = 3.0
 """The detection's own bias leaves kappa up to so many standard deviations off."""
 MIN_FRAMES_TO_STRAIGHTEN = 5
@@ -200,30 +201,35 @@ def register(
             if state.used[index]:
                 frame = sequence.frame(index)
                 precision = _precision(sequence, frame.image, frame.valid)
-                (homographies[index], gain[index], offset[index], rms[index]) = _align(
-                    _blur(frame.image, plan.blur_lr_px),
-                    precision,
-                    rays,
-                    blurred,
-                    covered,
-                    grid,
-                    (homographies[index], float(gain[index]), float(offset[index])),
-                    plan,
-                )
-                if number == 0:
+                try:
+                    (homographies[index], gain[index], offset[index], rms[index]) = _align(
+                        _blur(frame.image, plan.blur_lr_px),
+                        precision,
+                        rays,
+                        blurred,
+                        covered,
+                        grid,
+                        (homographies[index], float(gain[index]), float(offset[index])),
+                        plan,
+                    )
+                except np.linalg.LinAlgError:
+                    homographies[index] = np.nan
+                if number == 0 and np.isfinite(homographies[index]).all():
                     correlation[index] = _detail_correlation(
                         frame.image, state.camera, homographies[index], blurred, covered, grid
                     )
             yield done / total
-        state = _normalised(state, homographies, gain, offset, rms)
-        if number == 0:
+        found = np.isfinite(homographies).all(axis=(1, 2)) & np.isfinite(gain + offset)
+        lost = dict.fromkeys(_indices(state.used & ~found), NOT_CONVERGED)
+        state = _normalised(_without(state, lost), homographies, gain, offset, rms)
+        if number == 0 and state.used.any():
             kept = sequence.indices(settings.keep_frames)
             state = _rejected(state, calibration, correlation, kept)
-            if not state.used.any():
-                raise InspectionError(
-                    "The frames do not agree with each other "
-                    f"({_first_reason(state.why)}): check that they show the same module."
-                )
+        if not state.used.any():
+            raise InspectionError(
+                "The frames do not agree with each other "
+                f"({_first_reason(state.why)}): check that they show the same module."
+            )
     return _anchored(state, anchor)
 
 
@@ -358,6 +364,8 @@ def _normalised(
 ) -> Registration:
     """Fix what the frames leave open: the mean gain is 1, the mean offset 0."""
     used = state.used
+    if not used.any():
+        return state
     factor = float(np.exp(np.log(gain[used]).mean()))
     gain = np.where(used, gain / factor, 1.0)
     # g = gain f + offset stays the same when f + c and offset - gain c are taken instead.
@@ -399,11 +407,8 @@ def _rejected(
             )
         elif not stray < MAX_STRAY_CELLS:
             why[index] = f"registration lost it (moved by {stray:.1f} cells)"
-        elif not np.isfinite(state.homographies[index]).all():
-            why[index] = "registration did not converge"
         used[index] = why[index] == ""
-    rms = np.where(used, state.rms, np.nan)
-    return replace(state, used=used, why=tuple(why), rms=rms)
+    return replace(state, used=used, why=tuple(why), rms=np.where(used, state.rms, np.nan))
 
 
 def _straightened(sequence: Sequence, state: Registration, kappa_std: float) -> Registration | None:
@@ -426,9 +431,13 @@ def _anchored(state: Registration, anchor: Calibration | Registration) -> Regist
     ideal = state.layout.crossings()
     mean = _mean_crossings(state, anchor)
     good = np.isfinite(mean).all(axis=1)
-    common, _ = cv2.findHomography(ideal[good], mean[good], 0)
+    if good.sum() < 4:
+        return state
+    common = np.asarray(cv2.findHomography(ideal[good], mean[good], 0)[0], np.float64)
+    if common.shape != (3, 3) or not np.isfinite(common).all():
+        return state
     homographies = state.homographies.copy()
-    homographies[state.used] = homographies[state.used] @ np.asarray(common, np.float64)
+    homographies[state.used] = homographies[state.used] @ common
     return replace(state, homographies=homographies)
 
 

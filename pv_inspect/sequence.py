@@ -38,6 +38,7 @@ Raw = NDArray[np.unsignedinteger]
 _SMALLEST_SIDE_PX = 32
 # Frames that the sensor's properties are estimated from; more add time, not knowledge.
 _SAMPLE_FRAMES = 24
+_SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
 _CACHED_FRAMES = 64
 _CACHED_BYTES = 128 * 2**20
 
@@ -187,7 +188,8 @@ class Sequence:
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
 
         distinct = [file for index, file in enumerate(files) if index not in copies]
-        n_picks = min(len(distinct), _SAMPLE_FRAMES)
+        most = max(_LEAST_SAMPLES, _SAMPLE_BYTES // (dtype.itemsize * shape[0] * shape[1]))
+        n_picks = min(len(distinct), _SAMPLE_FRAMES, most)
         picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
         stack = np.stack([read_frame(distinct[int(i)]) for i in picks])
         defects = defective_pixels(stack, full_scale)

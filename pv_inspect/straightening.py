@@ -60,7 +60,7 @@ def straighten(
     Returns
     -------
     Camera, (n, 3, 3) float64, or None
-        None if too few gaps are seen.
+        None if too few gaps are seen or they do not determine it.
 
     Notes
     -----
@@ -80,12 +80,15 @@ def straighten(
     if offsets.found.sum() < MIN_GAPS:
         return None
     solution = _fit(edges, offsets, camera, homographies, grid, kappa_std)
+    if not np.isfinite(solution).all():
+        return None
     ideal = layout.crossings()
     appears = ideal + np.einsum("nki,i->nk", _basis(ideal, camera, homographies, edges), solution)
     d_kappa, d_x, d_y = -solution[8:]
     K = camera.K + np.array([[0, 0, d_x], [0, 0, d_y], [0, 0, 0]])
     fitted = Camera(K, camera.kappa + d_kappa)
-    return fitted, np.array([_carried(camera, fitted, H, ideal, appears) for H in homographies])
+    poses = np.array([_carried(camera, fitted, H, ideal, appears) for H in homographies])
+    return (fitted, poses) if np.isfinite(poses).all() else None
 
 
 def sharpened(image: Image, sigma: float) -> Image:
@@ -163,6 +166,8 @@ def _carried(before: Camera, after: Camera, H: Array, ideal: Array, appears: Arr
     """Pose of one frame under the new camera, from where the crossing points appear in it."""
     rays = after.undistort(after.to_normalised(before.project(H, appears)))
     seen = np.isfinite(rays).all(axis=1)
-    found, _ = cv2.findHomography(ideal[seen], rays[seen], 0)
+    found = cv2.findHomography(ideal[seen], rays[seen], 0)[0] if seen.sum() >= 4 else None
+    if found is None:
+        return np.full((3, 3), np.nan)
     new = np.asarray(found, np.float64)
     return new * np.sign(new[2, 2] * H[2, 2]) if H[2, 2] else new

@@ -40,6 +40,9 @@ class Stages:
         self.reconstruction: Any = made_reconstruction()
         for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
             monkeypatch.setattr(pipeline, name, getattr(self, name))
+        monkeypatch.setattr(pipeline, "need_memory", lambda *_: None)
+        monkeypatch.setattr(FakeSequence, "frame", lambda *_: SEQUENCE, raising=False)
+        monkeypatch.setattr(FakeSequence, "image", None, raising=False)
         monkeypatch.setattr(pipeline, "register_by_homography", self.register_by_homography)
 
     def fractions(self, name: str, result: Any) -> Generator[Any, None, Any]:

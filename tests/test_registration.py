@@ -290,3 +290,23 @@ def test_the_module_mean_marks_what_no_frame_sees(
     mean, covered = module_mean(sequence, state, grid)
     assert not covered.all()
     assert np.all(mean[~covered] == 0)
+
+
+def test_a_frame_whose_equations_are_singular_is_left_out_with_its_reason(
+    scene: tuple[Sequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence, truth, _ = scene
+    align, calls = registration_module._align, 0
+
+    def failing(*arguments: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return align(*arguments)
+
+    monkeypatch.setattr(registration_module, "_align", failing)
+    found = result_of(register(sequence, truth, Settings()))
+    assert found.why[1] == "registration did not converge"
+    assert list(np.flatnonzero(~found.used)) == [1]
+    assert np.isfinite(found.homographies[found.used]).all()
