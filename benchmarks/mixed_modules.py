@@ -109,7 +109,7 @@ def _drawn(rng: np.random.Generator, seed: int, *, pure: bool) -> SimulationSett
         roll_deg=float(rng.uniform(-8, 8)),
         fill=float(rng.uniform(0.8, 0.95)),
         jitter_px=float(rng.uniform(1, 5)),
-        motion_blur_px=float(rng.choice([0.3, 1.0, 3.0, 6.0])),
+        motion_blur_px=float(rng.choice([0.3, 1.0, 2.0, 4.0])),
         psf_sigma_px=float(rng.uniform(0.4, 0.9)),
         read_noise_e=read_noise,
         full_well_e=full_well,

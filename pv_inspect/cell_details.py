@@ -57,6 +57,19 @@ class CellDetails:
             values, np.rot90(self.seen, quarter_turns), np.rot90(self.noise, quarter_turns)
         )
 
+    def moved(self, rows: int, cols: int) -> CellDetails:
+        """Return the same with every cell so many rows and columns further; others are not seen."""
+        height, width = self.seen.shape
+        to = (_lines(height, rows), _lines(width, cols))
+        start = (_lines(height, -rows), _lines(width, -cols))
+        moved = CellDetails(
+            np.zeros_like(self.values), np.zeros_like(self.seen), np.zeros_like(self.noise)
+        )
+        moved.values[to], moved.seen[to], moved.noise[to] = (
+            part[start] for part in (self.values, self.seen, self.noise)
+        )
+        return moved
+
 
 def cell_details(
     sequence: Sequence, calibration: Calibration, frames: list[int]
@@ -108,6 +121,11 @@ def _details_of(
     limit = LIMIT * MAD_TO_SIGMA * float(np.median(np.abs(details[seen])))
     details = _peculiar(np.clip(details, -limit, limit), seen)
     return CellDetails(details, seen, noise)
+
+
+def _lines(n: int, by: int) -> slice:
+    """Which of n lines have something in them after they were moved."""
+    return slice(max(by, 0), n + min(by, 0))
 
 
 def degrees_of_freedom(rows: int, cols: int) -> int:

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dctn
 
 from pv_inspect.calibration import Calibration
-from pv_inspect.cell_details import CellDetails, cell_details, degrees_of_freedom, noise_spectrum
+from pv_inspect.cell_details import CellDetails, cell_details
+from pv_inspect.detail_agreement import Pairs, compare_details
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.sequence import Sequence
 
-__all__ = ["FrameGroups", "group_frames"]
+__all__ = ["FrameGroups", "Placement", "group_frames"]
 
 Array = NDArray[np.float64]
 
@@ -36,16 +36,36 @@ SURE = 3.5
 pair in 4000 of one module does, if the errors are Gaussian."""
 SURE_TURN = 5.0
 """Standard errors above 0 at which a frame is turned against what the detection says."""
-SEEN = 3.0
-"""Standard errors by which a detail must be stronger than the noise to be looked at."""
-MODEL_ERROR = 0.02
-"""Variance that pose, blur and sampling add to a detail, as a share of the mean variance."""
-LEAST_SIGNAL = 0.05
-"""Share of the energy of a frame that is taken for signal at least."""
-LEAST_COMMON = 3
-"""Cells that two frames must have in common to be compared."""
-LEAST_FREEDOM = 3
-"""Cells less what they have in common; with fewer nothing is known of the chance agreement."""
+COMPARED_GROUPS, COMPARED_FRAMES = 2, 3
+"""Of so many groups and frames in each it is asked whether their grids lie beside each other."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How the grid of a frame comes to that of the others: moved by whole cells, then turned.
+
+    Parameters
+    ----------
+    turn : int
+        Quarter turns, as of `Pose.turned`.
+    rows, cols : int
+        By how many cells the cells of the frame are moved down and to the right.
+    """
+
+    turn: int = 0
+    rows: int = 0
+    cols: int = 0
+
+    def of(self, details: CellDetails) -> CellDetails:
+        """Return the cells of a frame at their places."""
+        return details.moved(self.rows, self.cols).turned(self.turn)
+
+    def after(self, quarter_turns: int) -> Placement:
+        """Return this placement for a frame that was turned before."""
+        rows, cols = self.rows, self.cols
+        for _ in range(quarter_turns % 4):
+            rows, cols = cols, -rows
+        return Placement((self.turn + quarter_turns) % 4, rows, cols)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +76,8 @@ class FrameGroups:
     ----------
     groups : tuple of tuple of int
         Frames of every group; the largest group first.
-    turns : dict of int to int
-        Quarter turns that bring a frame to the same way up as the others of its group.
+    placements : dict of int to Placement
+        What brings the cells of a frame to the place that they have in the others of its group.
     agreement : (n_groups, n_groups) float64
         Mean agreement between the frames of two groups or, on the diagonal, within one; about 1
         for the same module and 0 for different ones. NaN where there is nothing to compare.
@@ -67,7 +87,7 @@ class FrameGroups:
     """
 
     groups: tuple[tuple[int, ...], ...]
-    turns: dict[int, int]
+    placements: dict[int, Placement]
     agreement: Array
     comparable: bool
 
@@ -88,36 +108,69 @@ def group_frames(sequence: Sequence, calibration: Calibration, frames: list[int]
 
     Notes
     -----
-    The agreement of frames i and j is the correlation of their whitened details c (DCT
-    coefficients within the cells, without what the cells of a row or column have in common) over
-    the cells that both show, corrected for the noise:
-    r = sum c_i c_j / sqrt((sum c_i^2 - noise_i) (sum c_j^2 - noise_j)).
-    If the modules differ, the cells of one are independent of those of the other, and r has the
-    mean 0 and the variance sum_kl (c_i(k) c_j(l))^2 / (d sum c_i^2 sum c_j^2), k and l over the
-    cells and d the number of free cells: all wrong pairs of cells tell what chance does. Groups
-    are merged in the order of r over its standard error (average linkage), until the
-    agreement of all that are left is what chance explains and significantly less than that of one
-    module.
+    Groups are merged in the order of their agreement over its standard error (average linkage),
+    until the agreement of all that are left is what chance explains and significantly less than
+    that of one module.
     """
     layout = calibration.layout
     details = cell_details(sequence, calibration, frames)
     turns = _possible_turns(layout)
-    pairs = _pairs(details, turns, degrees_of_freedom(layout.rows, layout.cols))
-    return _Clusters(pairs, turns).result(frames)
+    found = _Clusters(compare_details(details, turns), turns).result(frames)
+    return _with_moved_grids(found, dict(zip(frames, details, strict=True)), turns)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """All pairs of frames (n_turns, n, n), the second one turned.
+def _with_moved_grids(
+    found: FrameGroups, details: dict[int, CellDetails], turns: tuple[int, ...]
+) -> FrameGroups:
+    """Join groups that show one module, but with the grid a line of cells beside the other's.
 
-    ``agreement``; ``variance`` by chance, without the noise; ``weight`` in means, 0 where nothing
-    can be compared; ``noise`` (n,), the noise of a frame over its signal, as energies.
+    Where the cells at an edge are dark, the outline of the module is taken for narrower than it is.
     """
+    groups, placements = [list(group) for group in found.groups], dict(found.placements)
+    kept = list(range(len(groups)))
+    for a in range(min(len(groups), COMPARED_GROUPS)):
+        for b in [k for k in kept if k > a and a in kept]:
+            first, second = (
+                [placements[i].of(details[i]) for i in groups[k][:COMPARED_FRAMES]] for k in (a, b)
+            )
+            move = _move_between(first, second, turns)
+            if move is not None:
+                placements |= {i: move.after(placements[i].turn) for i in groups[b]}
+                groups[a] += groups[b]
+                kept.remove(b)
+    order = sorted(kept, key=lambda k: (-len(groups[k]), min(groups[k])))
+    return FrameGroups(
+        tuple(tuple(sorted(groups[k])) for k in order),
+        placements,
+        found.agreement[np.ix_(order, order)],
+        found.comparable,
+    )
 
-    agreement: Array
-    variance: Array
-    weight: Array
-    noise: Array
+
+def _move_between(
+    first: list[CellDetails], second: list[CellDetails], turns: tuple[int, ...]
+) -> Placement | None:
+    """Find by how many cells the grid of the second frames lies off that of the first."""
+    moves = [(1, 0), (-1, 0), (0, 1), (0, -1)]
+    moved = [frame.moved(*move) for move in moves for frame in second]
+    if not all(frame.seen.any() for frame in moved):
+        return None
+    pairs = compare_details([*first, *moved], turns)
+    for k, (rows, cols) in enumerate(moves):
+        start = len(first) + k * len(second)
+        part = (slice(None), slice(0, len(first)), slice(start, start + len(second)))
+        weight = pairs.weight[part]
+        if not (weight > 0).any(axis=(1, 2)).all():
+            continue
+        total = weight.sum(axis=(1, 2))
+        agreement = (weight * pairs.agreement[part]).sum(axis=(1, 2)) / total
+        variance = (weight * pairs.variance[part]).sum(axis=(1, 2)) / total
+        noise = 1.0 + float(np.median(pairs.noise))
+        best = int(np.argmax(agreement))
+        error = noise * float(np.sqrt(variance[best]))
+        if agreement[best] > max(SAME_MODULE, SURE_TURN * error):
+            return Placement(turns[best], rows, cols)
+    return None
 
 
 def _possible_turns(layout: ModuleLayout) -> tuple[int, ...]:
@@ -125,98 +178,10 @@ def _possible_turns(layout: ModuleLayout) -> tuple[int, ...]:
     return (0, 1, 2, 3) if square else (0, 2)
 
 
-def _pairs(details: list[CellDetails], turns: tuple[int, ...], freedom: int) -> _Pairs:
-    weight = _whitening(details, freedom)
-    spectrum = noise_spectrum(*weight.shape)
-    gain = float((np.square(weight) * spectrum).sum()) * freedom / details[0].seen.size
-    turned = [_features([frame.turned(k) for frame in details], weight, gain) for k in turns]
-    first, shape = turned[0], (len(turns), len(details), len(details))
-    agreement, variance, weights = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    cells = details[0].seen.size
-    for t, second in enumerate(turned):
-        common = first.seen @ second.seen.T
-        energy = np.sqrt((first.energy @ second.seen.T) * (first.seen @ second.energy.T)) + 1e-30
-        signal = np.sqrt((first.signal @ second.seen.T) * (first.seen @ second.signal.T)) + 1e-30
-        agreement[t] = (first.values @ second.values.T) / signal
-        share = np.square(common) / np.outer(first.count, second.count)
-        free = np.maximum(freedom * common / cells, 1e-9)
-        variance[t] = (first.second @ second.second.T) * share / free / np.square(energy)
-        weights[t] = np.where(common >= LEAST_COMMON, common * np.square(signal / energy), 0.0)
-    if freedom < LEAST_FREEDOM or not weight.any():
-        weights[:] = 0.0
-    noise = first.energy.sum(axis=1) / np.maximum(first.signal.sum(axis=1), 1e-30) - 1.0
-    return _Pairs(agreement, variance, weights, np.maximum(noise, 0.0))
-
-
-@dataclass(frozen=True, eq=False)
-class _Features:
-    """What n frames show of the cells.
-
-    ``values`` (n, cells * details); per cell (n, cells) what is ``seen``, the ``energy`` with noise
-    and the ``signal`` without; ``second`` (n, details^2), the moments of the cells; ``count`` (n,)
-    of cells.
-    """
-
-    values: Array
-    seen: Array
-    energy: Array
-    signal: Array
-    second: Array
-    count: Array
-
-
-def _whitening(details: list[CellDetails], freedom: int) -> Array:
-    """Weight (ny, nx) of every DCT coefficient: all count alike as far as they stand out.
-
-    With the variance s of a coefficient and the variance v of its noise and errors, it is whitened
-    by the Wiener filter s / (s + v), squared: s^(3/2) / (s + v)^2.
-    """
-    share = freedom / details[0].seen.size
-    count = [max(float(frame.seen.sum()), 1.0) for frame in details]
-    noise = np.array([frame.noise.sum() / n for frame, n in zip(details, count, strict=True)])
-    energies = [
-        np.square(_coefficients(frame)).sum(axis=(0, 1)) / (n * max(share, 1e-9))
-        for frame, n in zip(details, count, strict=True)
-    ]
-    spectrum = noise_spectrum(*energies[0].shape)
-    excess = np.array(energies) - noise[:, None, None] * spectrum
-    # A variance out of d free values in each of n frames has a relative error of sqrt(2 / (d n)).
-    chance = np.sqrt(2.0 / (max(freedom, 1) * len(details))) * float(np.median(noise)) * spectrum
-    signal = np.median(excess, axis=0)
-    signal = np.where(signal > SEEN * chance, signal, 0.0)
-    rest = float(np.median(noise)) * spectrum + MODEL_ERROR * float(signal.mean())
-    return np.asarray(signal**1.5 / np.square(signal + rest + 1e-30))
-
-
-def _features(details: list[CellDetails], weight: Array, gain: float) -> _Features:
-    n = len(details)
-    seen = np.array([frame.seen for frame in details], np.float64).reshape(n, -1)
-    values = np.array([_coefficients(frame) * weight for frame in details])
-    values = values.reshape(n, seen.shape[1], -1)
-    energy = np.square(values).sum(axis=2)
-    noise = gain * np.array([frame.noise for frame in details]).reshape(n, -1)
-    total, left = energy.sum(axis=1), (energy - noise).sum(axis=1)
-    # The noise is known on average only: every cell keeps the same share.
-    share = np.maximum(left / np.maximum(total, 1e-30), LEAST_SIGNAL)
-    second = np.array([(cells.T @ cells).ravel() for cells in values])
-    return _Features(
-        values.reshape(n, -1),
-        seen,
-        energy,
-        energy * share[:, None],
-        second,
-        np.maximum(seen.sum(axis=1), 1.0),
-    )
-
-
-def _coefficients(frame: CellDetails) -> Array:
-    return np.asarray(dctn(frame.values, axes=(2, 3), norm="ortho"))
-
-
 class _Clusters:
     """Average linkage of frames that may be turned."""
 
-    def __init__(self, pairs: _Pairs, turns: tuple[int, ...]) -> None:
+    def __init__(self, pairs: Pairs, turns: tuple[int, ...]) -> None:
         n = len(pairs.noise)
         self._turns = turns
         self._pairs = pairs
@@ -281,13 +246,13 @@ class _Clusters:
         order = sorted(alive, key=lambda k: (-len(self._members[k]), min(self._members[k])))
         between, _ = self._compared()
         count = len(self._turns)
-        turns: dict[int, int] = {}
+        placements: dict[int, Placement] = {}
         for k in order:
             turn = self._turn[self._members[k]] % count
             # As many frames as possible stay as they are.
             usual = int(np.bincount(turn, minlength=count).argmax())
             for member, own in zip(self._members[k], turn, strict=True):
-                turns[frames[member]] = self._turns[int(own - usual) % count]
+                placements[frames[member]] = Placement(self._turns[int(own - usual) % count])
         agreement = np.full((len(order), len(order)), np.nan)
         for x, a in enumerate(order):
             for y, b in enumerate(order):
@@ -296,7 +261,7 @@ class _Clusters:
             agreement[x, x] = self._within(a)
         return FrameGroups(
             tuple(tuple(sorted(frames[m] for m in self._members[k])) for k in order),
-            turns,
+            placements,
             agreement,
             self._comparable(order[0]),
         )

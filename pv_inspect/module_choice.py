@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pv_inspect.calibration import Calibration
 from pv_inspect.crossings import Crossings
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_agreement import FrameGroups, group_frames
+from pv_inspect.frame_agreement import FrameGroups, Placement, group_frames
+from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Pose
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 
 __all__ = ["ModuleChoice", "choose_module"]
+
+T = TypeVar("T", bound=np.generic)
 
 LONGEST_LIST = 180
 """Characters that the modules may take in a message."""
@@ -29,30 +34,33 @@ class ModuleChoice:
     ----------
     why : tuple of str
         Why a frame is left out: it shows another module; "" for all others.
-    turns : tuple of int
-        Quarter turns that bring the frames of the module to the same way up.
+    placements : tuple of Placement
+        What brings the grids of the frames of the module onto each other.
     comparable : bool
         Whether frames of another module would have been noticed.
     """
 
     why: tuple[str, ...]
-    turns: tuple[int, ...]
+    placements: tuple[Placement, ...]
     comparable: bool = True
 
     def of_calibration(self, calibration: Calibration) -> Calibration:
-        """Return the calibration with the frames of other modules left out, all one way up."""
-        if not any(self.why) and not any(self.turns):
+        """Return the calibration with the frames of other modules left out, on one grid."""
+        if not any(self.why) and all(placement == Placement() for placement in self.placements):
             return calibration
-        size = calibration.layout.size
+        layout = calibration.layout
         homographies = calibration.homographies.copy()
         sigma = calibration.crossing_sigma_px
         sigma = None if sigma is None else sigma.copy()
-        for i, turn in enumerate(self.turns):
-            if turn:
-                pose = Pose(calibration.camera, homographies[i]).turned(size, size, turn)
-                homographies[i] = pose.homography
-                if sigma is not None:
-                    sigma[i] = sigma[i, _order(calibration, turn)]
+        for i, placement in enumerate(self.placements):
+            if placement == Placement():
+                continue
+            back = np.eye(3)
+            back[:2, 2] = -placement.cols, -placement.rows / layout.cell_aspect
+            pose = Pose(calibration.camera, homographies[i] @ back)
+            homographies[i] = pose.turned(layout.size, layout.size, placement.turn).homography
+            if sigma is not None:
+                sigma[i] = _placed(sigma[i], layout, placement, np.nan)
         return replace(
             calibration,
             homographies=homographies,
@@ -62,10 +70,22 @@ class ModuleChoice:
         )
 
     def of_crossings(self, crossings: Crossings) -> Crossings:
-        """Return the crossing points with the frames of other modules left out, all one way up."""
+        """Return the crossing points with the frames of other modules left out, on one grid."""
+        layout = crossings.layout
         frames = (
-            replace(frame.turned(crossings.layout, turn), why=frame.why or why)
-            for frame, turn, why in zip(crossings.frames, self.turns, self.why, strict=True)
+            replace(
+                frame,
+                points_px=_placed(frame.points_px, layout, placement, np.nan),
+                sigma_px=_placed(frame.sigma_px, layout, placement, np.inf),
+                measured=_placed(frame.measured, layout, placement, False),
+                edited=None
+                if frame.edited is None
+                else _placed(frame.edited, layout, placement, False),
+                why=frame.why or why,
+            )
+            for frame, placement, why in zip(
+                crossings.frames, self.placements, self.why, strict=True
+            )
         )
         return replace(crossings, frames=tuple(frames))
 
@@ -98,16 +118,16 @@ def choose_module(sequence: Sequence, calibration: Calibration, settings: Settin
     wanted = _wanted(sequence, calibration, settings, frames)
     count = len(sequence)
     if len(frames) < 2:
-        return ModuleChoice(("",) * count, (0,) * count)
+        return ModuleChoice(("",) * count, (Placement(),) * count)
     found = group_frames(sequence, calibration, frames)
     chosen = _chosen(sequence, found, kept, wanted)
-    why, turns = [""] * count, [0] * count
+    why, placements = [""] * count, [Placement()] * count
     for number, group in enumerate(found.groups):
         for i in group:
-            turns[i] = found.turns[i]
+            placements[i] = found.placements[i]
             if number != chosen and i not in kept:
                 why[i] = _reason(found, number, chosen, named=wanted is not None)
-    return ModuleChoice(tuple(why), tuple(turns), found.comparable)
+    return ModuleChoice(tuple(why), tuple(placements), found.comparable)
 
 
 def _wanted(
@@ -168,8 +188,13 @@ def _reason(found: FrameGroups, number: int, chosen: int, *, named: bool) -> str
     return f"it shows another module than the {frames} {which} ({about})"
 
 
-def _order(calibration: Calibration, turn: int) -> np.ndarray[tuple[int, ...], np.dtype[np.intp]]:
-    """Crossing points in the order of a module that is turned."""
-    layout = calibration.layout
-    index = np.arange(layout.n_crossings).reshape(layout.rows + 1, layout.cols + 1)
-    return np.rot90(index, turn).ravel()
+def _placed(
+    values: NDArray[T], layout: ModuleLayout, placement: Placement, unknown: float | bool
+) -> NDArray[T]:
+    """Values of the crossing points, (n_crossings, ...), in the order of another grid."""
+    shape = (layout.rows + 1, layout.cols + 1, *values.shape[1:])
+    moved = np.roll(values.reshape(shape), (placement.rows, placement.cols), (0, 1))
+    for axis, by in ((0, placement.rows), (1, placement.cols)):
+        beyond = slice(0, by) if by > 0 else slice(shape[axis] + by, shape[axis])
+        np.moveaxis(moved, axis, 0)[beyond] = unknown
+    return np.rot90(moved, placement.turn).reshape(values.shape)

@@ -11,11 +11,13 @@ from scipy.fft import idctn
 
 from pv_inspect.calibration import Calibration
 from pv_inspect.camera import Camera
-from pv_inspect.cell_details import CellDetails, degrees_of_freedom, noise_spectrum
+from pv_inspect.cell_details import CellDetails, noise_spectrum
 from pv_inspect.crossings import Crossings, FrameCrossings
+from pv_inspect.detail_agreement import compare_details
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_agreement import _Clusters, _pairs, group_frames
+from pv_inspect.frame_agreement import _Clusters, group_frames
 from pv_inspect.module_choice import choose_module
+from pv_inspect.outline import Pose
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (
@@ -143,10 +145,10 @@ def test_frames_upside_down_are_of_the_same_module_and_turned(
     sequence, calibration = _opened(tmp_path, modules, (0, 0, 4, 0, 4))
     choice = choose_module(sequence, calibration, Settings())
     assert not any(choice.why)
-    assert choice.turns == (0, 0, 2, 0, 2)
+    assert [placement.turn for placement in choice.placements] == [0, 0, 2, 0, 2]
     turned = choice.of_calibration(calibration)
-    for frame, turn in enumerate(choice.turns):
-        order = -1 if turn else 1
+    for frame, placement in enumerate(choice.placements):
+        order = -1 if placement.turn else 1
         np.testing.assert_allclose(
             turned.crossings_px(frame), calibration.crossings_px(frame)[::order], atol=1e-6
         )
@@ -159,6 +161,36 @@ def test_frames_upside_down_are_of_the_same_module_and_turned(
     )
     found = choice.of_crossings(points)
     np.testing.assert_array_equal(found.frames[2].points_px, points.frames[2].points_px[::-1])
+
+
+@pytest.mark.parametrize(("rows", "cols", "turn"), [(1, 0, 0), (0, -1, 0), (0, 1, 2)])
+def test_a_grid_that_lies_a_line_of_cells_beside_the_others_is_moved_back(
+    tmp_path: Path, modules: tuple[Scene, ...], rows: int, cols: int, turn: int
+) -> None:
+    sequence, truth = _opened(tmp_path, modules, (0, 0, 0, 0, 1))
+    layout = truth.layout
+    wrong = truth.homographies.copy()
+    for frame in (1, 2):
+        pose = Pose(truth.camera, wrong[frame]).turned(layout.size, layout.size, turn)
+        wrong[frame] = pose.homography @ np.array([[1, 0, cols], [0, 1, rows], [0, 0, 1.0]])
+    calibration = replace(truth, homographies=wrong)
+    choice = choose_module(sequence, calibration, Settings())
+    assert [bool(reason) for reason in choice.why] == [False, False, False, False, True]
+    mended = choice.of_calibration(calibration)
+    for frame in range(4):
+        np.testing.assert_allclose(mended.crossings_px(frame), truth.crossings_px(frame), atol=1e-6)
+    points = Crossings(
+        layout,
+        tuple(
+            FrameCrossings(calibration.crossings_px(i), np.ones(35), np.ones(35, bool))
+            for i in range(5)
+        ),
+    )
+    found = choice.of_crossings(points).frames[1]
+    assert found.measured.sum() == 35 - (5 if cols else 7)
+    np.testing.assert_allclose(
+        found.points_px[found.measured], truth.crossings_px(1)[found.measured], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -196,7 +228,7 @@ def test_the_standard_error_by_chance_is_that_of_the_agreement_of_different_modu
     frames = [
         _random_details(rng, scale * rng.standard_normal((5, 6, 2, 2)), 0.2) for _ in range(60)
     ]
-    pairs = _pairs(frames, (0, 2), degrees_of_freedom(5, 6))
+    pairs = compare_details(frames, (0, 2))
     others = ~np.eye(60, dtype=bool)
     z = pairs.agreement[0][others] / np.sqrt(pairs.variance[0][others])
     # 1770 independent values: the standard error of their rms is 1.7 %, the error's own is more.
@@ -207,7 +239,7 @@ def test_frames_of_noise_are_not_split_and_it_is_said() -> None:
     rng = np.random.default_rng(5)
     truth = [0.02 * rng.standard_normal((5, 6, 2, 2)) for _ in range(2)]
     frames = [_random_details(rng, truth[k % 2], 1.0) for k in range(8)]
-    found = _Clusters(_pairs(frames, (0, 2), 20), (0, 2)).result(list(range(8)))
+    found = _Clusters(compare_details(frames, (0, 2)), (0, 2)).result(list(range(8)))
     assert found.groups == (tuple(range(8)),)
     assert not found.comparable
 
@@ -216,7 +248,7 @@ def test_what_one_noisy_pair_does_not_tell_the_groups_tell() -> None:
     rng = np.random.default_rng(8)
     truth = [rng.standard_normal((5, 6, 4, 4)) for _ in range(2)]
     frames = [_random_details(rng, truth[k % 2], 2.0) for k in range(16)]
-    pairs = _pairs(frames, (0, 2), 20)
+    pairs = compare_details(frames, (0, 2))
     same = np.equal.outer(np.arange(16) % 2, np.arange(16) % 2) & ~np.eye(16, dtype=bool)
     # Single pairs of the two kinds are not separated: the groups below are more than a threshold.
     assert pairs.agreement[0][same].min() < pairs.agreement[0][~same].max() + 0.5
