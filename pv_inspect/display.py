@@ -9,6 +9,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from pv_inspect.cracks import CellCounts, CellFeatures, CrackMap
+from pv_inspect.errors import printable
 from pv_inspect.figures import REGISTRATION_RESIDUAL, RESIDUAL, median_text
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.pictures import (
@@ -75,7 +76,7 @@ def inspection_html(inspection: Inspection) -> str:
     stale = inspection.stale(inspection.settings)
     missing = [stage.value for stage in sorted(stale, key=lambda stage: stage.index)]
     return _html(
-        inspection.sequence.source.resolve().name,
+        printable(inspection.sequence.source.resolve().name),
         picture,
         rows,
         missing,
@@ -106,7 +107,7 @@ def result_html(result: Result) -> str:
         *_image_rows(residual, result.psf_sigma_lr_px, result.prior_weight, result.grid),
     ]
     picture = _picture(result.image, result.grid, result.crack_map)
-    return _html(result.folder.name, picture, rows, [], result.doubts, result.warnings)
+    return _html(printable(result.folder.name), picture, rows, [], result.doubts, result.warnings)
 
 
 def _html(

@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from pv_inspect.calibration import focal_length_source
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first, state_of
 from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, class_text, length_text, tooltip
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, printable
 from pv_inspect.figures import median_text
 from pv_inspect.layout import HrGrid
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
@@ -120,8 +120,8 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         )
     seconds = inspection.seconds
     return {
-        "title": inspection.sequence.source.resolve().name,
-        "source": str(inspection.sequence.source),
+        "title": printable(inspection.sequence.source.resolve().name),
+        "source": printable(str(inspection.sequence.source)),
         "layout": layout,
         "grid": grid,
         "n_frames": len(inspection.sequence),

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.cracks.wording import class_text
+from pv_inspect.errors import printable
 from pv_inspect.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.folders import replace_file
 from pv_inspect.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
@@ -161,7 +162,7 @@ def _content(
         )
     made_by = fingerprint(result.settings)
     return {
-        "title": result.folder.name,
+        "title": printable(result.folder.name),
         "date": date.today().isoformat(),
         "layout": layout,
         "module": module,

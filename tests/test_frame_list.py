@@ -13,6 +13,7 @@ from pv_inspect.frame_list import existing_image, list_frames
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
+from tests.image_files.making import tags, tiff
 
 LIMITS = ReadLimits()
 
@@ -159,6 +160,17 @@ def test_too_many_frames_are_refused_before_they_are_read(folder: Path) -> None:
         InspectionError, match=r"There are more than 2 frames in .*raise max_frames"
     ):
         list_frames(folder, ReadLimits(max_frames=2))
+
+
+def test_small_files_that_unfold_to_very_much_are_refused_by_their_headers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Each page is within the limits, and all of them share one strip.
+    page = tags(5000, 6000, 8, 4)
+    (tmp_path / "x.tif").write_bytes(tiff([page] * 300, b"\1\2\3\4"))
+    monkeypatch.setattr("pv_inspect.sequence.read_frame", None)
+    with pytest.raises(InspectionError, match=r"unfold from 0\.0\d+ MB to 9000 MB"):
+        Sequence.open(tmp_path / "x.tif")
 
 
 def test_the_limits_are_settings(folder: Path) -> None:

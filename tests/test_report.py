@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from pv_inspect.errors import InspectionError
 from pv_inspect.report import render_report
 from pv_inspect.settings import Settings
-from tests.handmade import made_inspection, made_reconstruction
+from tests.handmade import FakeSequence, made_inspection, made_reconstruction
 
 VOID = {"meta", "img", "input", "br"}
 
@@ -187,3 +189,9 @@ def test_the_curve_of_lambda_is_drawn_where_lambda_was_chosen() -> None:
     page = render_report(replace(inspection, reconstruction=chosen))
     assert "chosen automatically" in page
     assert page.count("<polyline") == 1
+
+
+def test_a_folder_whose_name_is_no_text_has_a_report() -> None:
+    sequence = FakeSequence(source=Path(os.fsdecode(b"module\xff\x1b[2J")))
+    html = render_report(made_inspection(sequence=sequence))
+    assert html.encode().count(rb"module\udcff\x1b[2J") >= 1

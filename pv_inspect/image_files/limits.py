@@ -57,7 +57,11 @@ def check_size(height: int, width: int, pixel_bytes: int, limits: ReadLimits) ->
     most = limits.max_frame_mpx
     mpx = height * width / 1e6
     says = f"is {width} x {height} px"
-    if mpx > most or max(height, width) > _LONGEST_SIDE_PX:
+    if max(height, width) > _LONGEST_SIDE_PX:
+        raise ImageFileError(
+            f"{says}, but no side may be longer than {_LONGEST_SIDE_PX} px: crop it."
+        )
+    if mpx > most:
         in_all = f"{mpx:.0f}" if mpx > 10 else f"{mpx:.2f}"
         raise ImageFileError(
             f"{says} ({in_all} Mpx), more than the {most:g} Mpx that are read: crop or bin it, or "
