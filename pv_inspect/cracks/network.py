@@ -8,20 +8,22 @@ with its longer side at 256 px and returns the probability of each class for eac
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
+from pv_inspect.cracks.apart import NetworkApart
 from pv_inspect.cracks.features import OperatingPoint
 from pv_inspect.cracks.labelled import BUSBAR, CLASSES, CRACK
 from pv_inspect.errors import InspectionError
+from pv_inspect.records import Number, Record, Text, checked, json_from, read_text
 
 __all__ = ["CELL_PX", "MODELS", "CrackModel", "NetworkDetector", "normalised"]
 
@@ -35,6 +37,14 @@ _FOLDER = Path(__file__).with_name("models")
 MODELS = ("default", "sharp", "weak")
 # The network halves the image four times. OpenCV cuts silently what does not fit.
 _STRIDE = 16
+# SHA-256 of the models of the package. Any other runs in a process of its own.
+_OURS = {
+    "7b45a62b930b8a8996efcc20aecf5631b3f7a8452ed2063ba5249df5ae913e7e",
+    "ca826ec4c065ba03a919ae48254a6829185cf53a8018b46bd1adadf5fb039c40",
+    "5a77e39dea27ef3e0ea0839da7599712a5c9bdb76e03a23920ad78bab15a4cac",
+}
+# Ours has 1 MB.
+_MOST_BYTES, _MOST_ABOUT_BYTES = 2**27, 2**16
 _BATCH = 8
 _RUNNING = Lock()
 
@@ -92,27 +102,48 @@ class CrackModel:
                     "model again, or use the detector 'ridge', which needs none."
                 )
         try:
-            stored: dict[str, Any] = json.loads(about.read_text(encoding="utf-8"))
-            classes = tuple(stored["classes"])
-            model = cls(
-                path,
-                str(stored["name"]),
-                str(stored["sha256"]),
-                float(stored["calibration"]["slope"]),
-                float(stored["calibration"]["offset"]),
-                OperatingPoint(**{k: float(v) for k, v in stored["operating_point"].items()}),
-            )
-        except (ValueError, KeyError, TypeError) as error:
+            stored = checked(_About, json_from(read_text(about, _MOST_ABOUT_BYTES)))
+        except (OSError, ValueError) as error:
             raise InspectionError(
-                f"{about} is no description of a crack model ({type(error).__name__}: {error}): "
-                "train the model again or restore the file."
+                f"{about} is no description of a crack model ({error}): train the model again or "
+                "restore the file."
             ) from None
+        point = stored.operating_point
+        model = cls(
+            path,
+            stored.name,
+            stored.sha256,
+            stored.calibration.slope,
+            stored.calibration.offset,
+            OperatingPoint(point.threshold, point.least_extent_cells),
+        )
+        classes = stored.classes
         if classes != CLASSES:
             raise InspectionError(
                 f"{about} names the classes {', '.join(map(str, classes))}, but a crack model has "
                 f"{', '.join(CLASSES)} in this order: give a model of pv_inspect.cracks.train."
             )
         return model
+
+
+class _Calibration(Record):
+    slope: Number
+    offset: Number
+
+
+class _Point(Record):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    threshold: Annotated[float, Field(strict=True, ge=0, le=1)]
+    least_extent_cells: Annotated[float, Field(strict=True, ge=0, le=10)]
+
+
+class _About(Record):
+    name: Text
+    sha256: Text
+    classes: tuple[Text, ...]
+    calibration: _Calibration
+    operating_point: _Point
 
 
 class NetworkDetector:
@@ -198,7 +229,9 @@ class NetworkDetector:
         bottom, right = -h % _STRIDE, -w % _STRIDE
         mode: Any = "reflect" if min(h, w) >= _STRIDE else "edge"
         padded = np.pad(inputs, ((0, 0), (0, bottom), (0, right)), mode=mode)
-        return _run(self._net, padded)[:, :, :h, :w]
+        classes = _run(self._net, padded)
+        _check(self._model.path, classes, padded.shape)
+        return classes[:, :, :h, :w]
 
     def _calibrated(self, p: Image) -> Image:
         q = np.clip(p, 1e-6, 1 - 1e-6)
@@ -209,12 +242,32 @@ class NetworkDetector:
 def _run(net: Any, inputs: Image) -> Image:
     # A network keeps its buffers between two calls; all detectors share it.
     with _RUNNING:
+        if isinstance(net, NetworkApart):
+            return net.forward(inputs)
         net.setInput(np.ascontiguousarray(inputs[:, None]))
         return np.array(net.forward(), np.float32)
 
 
+def _check(path: Path, found: Image, seen: tuple[int, ...]) -> None:
+    """Refuse answers that are no probabilities of our classes."""
+    n, h, w = seen
+    expected = (n, len(CLASSES), h, w)
+    # Not a number is no probability either: it fails every comparison.
+    if found.shape != expected or not bool((np.abs(found.sum(1) - 1) < 1e-3).all()):
+        raise InspectionError(
+            f"{path} is no crack model: for cells {(n, 1, h, w)} it returns {found.shape}, "
+            f"expected are probabilities {expected} of {', '.join(CLASSES)}."
+        )
+
+
 @lru_cache(maxsize=4)
 def _opened(path: Path, sha256: str) -> Any:
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise InspectionError(
+            f"{path} has {size / 1e6:.0f} MB, no crack model has more than "
+            f"{_MOST_BYTES / 1e6:.0f}: give a model of pv_inspect.cracks.train."
+        )
     data = path.read_bytes()
     found = hashlib.sha256(data).hexdigest()
     if found != sha256:
@@ -222,20 +275,12 @@ def _opened(path: Path, sha256: str) -> Any:
             f"{path} was altered: its SHA-256 begins with {found[:12]}, its description says "
             f"{sha256[:12]}; install pv-inspect again or train the model again."
         )
-    try:
+    net: Any
+    if found in _OURS:
         net = cv2.dnn.readNetFromONNX(np.frombuffer(data, np.uint8))
-        # A small cell whose sides differ: it shows wrong inputs, and outputs of another size.
-        tried = _run(net, np.zeros((2, 2 * _STRIDE, 3 * _STRIDE), np.float32))
-    except cv2.error as error:
-        said = str(error).rpartition("error:")[2]
-        raise InspectionError(
-            f"{path} can't be used as a crack model ({' '.join(said.split())}): its input must be "
-            "cells (n, 1, h, w) float32; give a model of pv_inspect.cracks.train."
-        ) from None
-    expected = (2, len(CLASSES), 2 * _STRIDE, 3 * _STRIDE)
-    if tried.shape != expected or not np.allclose(tried.sum(1), 1, atol=1e-3):
-        raise InspectionError(
-            f"{path} is no crack model: for cells (2, 1, 32, 48) it returns {tried.shape}, "
-            f"expected are probabilities {expected} of {', '.join(CLASSES)}."
-        )
+    else:
+        net = NetworkApart(path, data)
+    # A small cell whose sides differ: it shows wrong inputs, and outputs of another size.
+    cells = np.zeros((2, 2 * _STRIDE, 3 * _STRIDE), np.float32)
+    _check(path, _run(net, cells), cells.shape)
     return net

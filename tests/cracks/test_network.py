@@ -129,6 +129,10 @@ def test_a_missing_model_is_told(model: Path, lost: str) -> None:
         ({"classes": None}, "no description of a crack model"),
         ({"calibration": {}}, "no description of a crack model"),
         ({"operating_point": {"level": 1}}, "no description of a crack model"),
+        ({"operating_point": {"threshold": 2, "least_extent_cells": 0}}, r"threshold is 2"),
+        ({"calibration": {"slope": [1], "offset": 0}}, r"calibration\.slope is \[1\]"),
+        ({"calibration": {"slope": 10**400, "offset": 0}}, "a number of 401 digits"),
+        ({"name": 5}, "name is 5"),
     ],
 )
 def test_a_wrong_description_is_told(model: Path, change: dict[str, object], said: str) -> None:
