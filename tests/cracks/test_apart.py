@@ -90,7 +90,7 @@ def test_a_byte_changed_anywhere_is_a_model_or_one_sentence(
     assert capfd.readouterr() == ("", "")
 
 
-READS = "import struct, sys; sys.stdin.buffer.read(1_000_000)"
+READS = "sys.stdout.flush(); sys.stdin.buffer.read()"
 PROGRAMS = {
     "sleeps": ("import time; time.sleep(60)", r"takes over 0\.5 s"),
     "ends": ("raise SystemExit(3)", "ends the process that runs it"),
@@ -98,12 +98,13 @@ PROGRAMS = {
     "says nothing": ("import sys; sys.stdout.close(); sys.stdin.read()", "takes over|ends the"),
     "says nonsense": ("print(1000 * 'nonsense ')", "axes|ends the process"),
     "returns too much": (
-        f"{READS}; sys.stdout.buffer.write(struct.pack('<I4Q', 4, *4 * [10**6]))",
+        "import struct, sys; sys.stdout.buffer.write(struct.pack('<I4Q', 4, *4 * [10**6]));"
+        + READS,
         "it returns",
     ),
     "returns infinity": (
-        f"{READS}; sys.stdout.buffer.write(struct.pack('<I4Q', 4, 2, 5, 32, 48)"
-        " + 2 * 5 * 32 * 48 * struct.pack('<f', float('inf')))",
+        "import struct, sys; sys.stdout.buffer.write(struct.pack('<I4Q', 4, 2, 5, 32, 48)"
+        " + 2 * 5 * 32 * 48 * struct.pack('<f', float('inf')));" + READS,
         "is no crack model",
     ),
 }
