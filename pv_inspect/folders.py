@@ -44,7 +44,7 @@ T = TypeVar("T")
 _PATIENCE_S = 5.0
 _GAP_S = 2.0  # between the two renames of another process
 _POLL_S = 0.02
-_READINGS = 5
+_READING_S = 10.0  # of a folder that is replaced again and again
 
 
 def check_replaceable(out: Path, marker: str) -> Path:
@@ -153,11 +153,12 @@ class Reservation:
                 _put_back(out)
             if not isinstance(error, OSError):
                 raise
-            full = error.errno in FULL
-            reason = "the disk is full" if full else error.strerror or str(error)
-            remedy = (
-                "free some space or give a folder on another disk" if full else "give another one"
-            )
+            reason, remedy = error.strerror or str(error), "give another one"
+            if error.errno in FULL:
+                reason = "the disk is full"
+                remedy = "free some space or give a folder on another disk"
+            elif error.errno == errno.EBUSY:
+                remedy = "try again in a moment"
             raise InspectionError(
                 f"The result can't be written to {shown(out)}: {reason}; {remedy} "
                 f"({self.so_far()})."
@@ -303,17 +304,18 @@ def read_steadily(folder: Path, read: Callable[[], T]) -> T:
     folder : Path
     read : callable
     """
-    for _ in range(_READINGS - 1):
+    end = monotonic() + _READING_S
+    while True:
         before = _identity(recovered(folder))
+        last = monotonic() > end
         try:
             found = read()
         except InspectionError:
-            if _identity(folder) == before:
+            if last or _identity(folder) == before:
                 raise
         else:
-            if _identity(folder) == before:
+            if last or _identity(folder) == before:
                 return found
-    return read()
 
 
 def _put_back(out: Path) -> None:

@@ -183,7 +183,7 @@ class FileLock:
                 if read_owner(self.path).token != owner.token:
                     raise HeldError(read_owner(self.path))
         except BaseException as error:
-            if not isinstance(error, HeldError) and read_owner(self.path).token == token:
+            if not isinstance(error, HeldError) and read_owner(self.path).token in ("", token):
                 with suppress(OSError):  # ours, or made just now and empty
                     self.path.unlink()
             os.close(handle)
