@@ -15,7 +15,7 @@ from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.image_files.png import png_header, png_pixels
 from pv_inspect.image_files.problems import ImageFileError
 from pv_inspect.image_files.regular import FileState, file_state, open_regular
-from pv_inspect.image_files.tiff import page_at, page_offsets
+from pv_inspect.image_files.tiff import page_at, page_offsets, planes_of
 from pv_inspect.image_files.tiff_pixels import page_pixels
 
 __all__ = ["FrameFile", "expand", "natural_key", "read_floats", "read_frame"]
@@ -43,6 +43,8 @@ class FrameFile:
     state : FileState
         State of the file when it was listed.
     limits : ReadLimits
+    plane : int
+        Which of the pictures that share this header.
     """
 
     path: Path
@@ -53,6 +55,7 @@ class FrameFile:
     offset: int
     state: FileState
     limits: ReadLimits
+    plane: int = 0
 
     def label(self, name: str) -> str:
         """Name of the frame, given the name of its file."""
@@ -95,20 +98,30 @@ def expand(path: Path, limits: ReadLimits | None = None) -> list[FrameFile]:
                 return [FrameFile(path, 0, True, shape, png.dtype, 0, state, limits)]
             offsets = page_offsets(file, limits.max_frames)
             pages = [page_at(file, offset, limits) for offset in offsets]
+            planes = planes_of(file, offsets[0]) if len(pages) == 1 else 1
     except ImageFileError as problem:
         raise InspectionError(f"{path.name} {problem}") from None
+    if planes > limits.max_frames:
+        raise InspectionError(
+            f"{path.name} has {planes} pictures, more than the {limits.max_frames} that are read "
+            "as one sequence: take some of them, or raise max_frames."
+        )
+    places = [(page, offset, 0) for page, offset in zip(pages, offsets, strict=True)]
+    if planes > 1:
+        places = [(pages[0], offsets[0], plane) for plane in range(planes)]
     return [
         FrameFile(
             path,
             k,
-            len(pages) == 1,
+            len(places) == 1,
             (page.height, page.width),
             page.dtype.newbyteorder("="),
             offset,
             state,
             limits,
+            plane,
         )
-        for k, (page, offset) in enumerate(zip(pages, offsets, strict=True))
+        for k, (page, offset, plane) in enumerate(places)
     ]
 
 
@@ -165,7 +178,7 @@ def _decoded(file: FrameFile) -> NDArray[Any]:
             if _is_png(file.path):
                 image = png_pixels(opened, png_header(opened, file.limits))
             else:
-                image = page_pixels(opened, file.offset, file.limits)
+                image = page_pixels(opened, file.offset, file.limits, file.plane)
     except ImageFileError as problem:
         raise InspectionError(f"{file.label(file.path.name)} {problem}") from None
     return image

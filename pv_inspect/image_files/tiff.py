@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import struct
 from dataclasses import dataclass
 from typing import BinaryIO
@@ -23,7 +24,7 @@ from pv_inspect.image_files.limits import ReadLimits, check_size
 from pv_inspect.image_files.problems import ImageFileError, damaged, needs_decoder
 from pv_inspect.image_files.regular import exactly
 
-__all__ = ["TiffPage", "TiffSegments", "page_at", "page_offsets", "segments_of"]
+__all__ = ["TiffPage", "TiffSegments", "page_at", "page_offsets", "planes_of", "segments_of"]
 
 # type code: (bytes, format); offsets of IFDs count as whole numbers
 _WHOLE = {1: (1, "B"), 3: (2, "H"), 4: (4, "I"), 13: (4, "I"), 16: (8, "Q"), 18: (8, "Q")}
@@ -32,6 +33,7 @@ _SUBFILE, _OLD_SUBFILE, _WIDTH, _HEIGHT, _BITS, _COMPRESSION = 254, 255, 256, 25
 _PHOTOMETRIC, _FILL_ORDER, _STRIP_OFFSETS, _SAMPLES = 262, 266, 273, 277
 _ROWS_PER_STRIP, _STRIP_COUNTS, _PLANAR, _PREDICTOR = 278, 279, 284, 317
 _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS = 322, 323, 324, 325
+_DESCRIPTION, _ASCII, _LONGEST_DESCRIPTION = 270, 2, 2**20
 _SAMPLE_FORMAT, _JPEG_TABLES, _DEPTH, _TILE_DEPTH = 339, 347, 32997, 32998
 _KIND = {1: "uint", 2: "int", 3: "float", 4: "uint", 5: "complex int", 6: "complex"}
 _MOST_ENTRIES = 4096
@@ -202,8 +204,23 @@ def page_at(file: BinaryIO, offset: int, limits: ReadLimits) -> TiffPage:
     )
 
 
-def segments_of(file: BinaryIO, offset: int, page: TiffPage) -> TiffSegments:
-    """Find the tiles or strips of a page.
+def planes_of(file: BinaryIO, offset: int) -> int:
+    """Return how many pictures one header stands for, 1 if it does not say.
+
+    ImageJ writes large stacks as one header with all pictures after the first, without gaps.
+    """
+    layout = _layout(file)
+    entries, _ = _entries(file, layout, offset)
+    entry = entries.get(_DESCRIPTION)
+    if entry is None or entry.kind != _ASCII or entry.count > _LONGEST_DESCRIPTION:
+        return 1
+    text = _content(file, layout, entry, 1)
+    images = re.search(rb"^images=(\d{1,9})\s*$", text, re.MULTILINE)
+    return max(1, int(images[1])) if text.startswith(b"ImageJ=") and images else 1
+
+
+def segments_of(file: BinaryIO, offset: int, page: TiffPage, plane: int = 0) -> TiffSegments:
+    """Find the tiles or strips of a page, or of one of the planes that follow it.
 
     Raises
     ------
@@ -223,6 +240,8 @@ def segments_of(file: BinaryIO, offset: int, page: TiffPage) -> TiffSegments:
     if min(offsets.size, counts.size) < n:
         raise damaged(f"it lists {min(offsets.size, counts.size)} of its {n} {what}")
     offsets, counts = offsets[:n], counts[:n]
+    if plane:
+        offsets = offsets + np.uint64(plane) * _bytes_without_gaps(page, offsets, counts)
     absent = int(np.sum((offsets == 0) | (counts == 0)))
     if absent:
         raise damaged(f"{absent} of its {n} {what} are declared but absent")
@@ -233,6 +252,20 @@ def segments_of(file: BinaryIO, offset: int, page: TiffPage) -> TiffSegments:
         entry = entries[_JPEG_TABLES]
         tables = _content(file, layout, entry, _BYTES.get(entry.kind, 0))
     return TiffSegments(offsets, counts, tables)
+
+
+def _bytes_without_gaps(
+    page: TiffPage, offsets: NDArray[np.uint64], counts: NDArray[np.uint64]
+) -> np.uint64:
+    """Bytes of a picture that others can follow."""
+    size = page.height * page.width * page.pixel_bytes
+    follows = np.array_equal(offsets[1:], (offsets + counts)[:-1])
+    if page.compression != 1 or page.tiled or not follows or int(counts.sum()) != size:
+        raise ImageFileError(
+            "says that several pictures follow its first one, but they are packed or have gaps: "
+            "save every picture as a page."
+        )
+    return np.uint64(size)
 
 
 def _layout(file: BinaryIO) -> _Layout:

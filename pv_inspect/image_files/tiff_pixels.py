@@ -50,8 +50,8 @@ _WHITE_IS_ZERO = 0
 _REVERSED = np.array([int(f"{byte:08b}"[::-1], 2) for byte in range(256)], np.uint8)
 
 
-def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits) -> Pixels:
-    """Decode the page whose header lies at ``offset``.
+def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits, plane: int = 0) -> Pixels:
+    """Decode the page whose header lies at ``offset``, or the ``plane``-th picture after it.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits) -> Pixels:
         raise needs_decoder(f"{_OTHERS.get(coding, 'TIFF')} (compression {coding})")
     if page.predictor not in (1, 2) or (page.predictor == 2 and page.dtype.kind == "f"):
         raise needs_decoder(f"differences of kind {page.predictor} between {page.dtype} values")
-    segments = segments_of(file, offset, page)
+    segments = segments_of(file, offset, page, plane)
     shape = page.height, page.width, page.samples
     image = np.empty(shape, page.dtype.newbyteorder("="))
     listed = zip(segments.offsets.tolist(), segments.counts.tolist(), _places(page), strict=True)

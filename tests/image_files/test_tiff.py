@@ -20,27 +20,28 @@ from tests.image_files.making import complaint_of, scene, tags, tiff
 # -- the same pixels, however they are stored -----------------------------------------------
 
 
+STORED: list[dict[str, object]] = [
+    {},
+    {"rowsperstrip": 7},
+    {"tile": (32, 48), "bigtiff": True},
+    {"predictor": True},
+    {"predictor": True, "tile": (32, 48)},
+    {"photometric": "rgb", "planarconfig": "separate"},
+    {"photometric": "rgb", "planarconfig": "contig", "predictor": True, "rowsperstrip": 7},
+]
+
+
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-@pytest.mark.parametrize("compression", [None, "zlib", "lzma"])
 @pytest.mark.parametrize(
-    "stored",
-    [
-        {},
-        {"rowsperstrip": 7},
-        {"tile": (32, 48), "bigtiff": True},
-        {"predictor": True},
-        {"predictor": True, "tile": (32, 48)},
-        {"photometric": "rgb", "planarconfig": "separate"},
-        {"photometric": "rgb", "planarconfig": "contig", "predictor": True, "rowsperstrip": 7},
-    ],
+    ("compression", "stored"),
+    # Without compression there is no predictor.
+    [(c, s) for c in (None, "zlib", "lzma") for s in STORED if c or "predictor" not in s],
     ids=str,
 )
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_pixels_are_those_that_tifffile_wrote(
     dtype: str, compression: str | None, stored: dict[str, object], order: str, tmp_path: Path
 ) -> None:
-    if compression is None and "predictor" in stored:
-        pytest.skip("without compression there is no predictor")
     image = scene(dtype)
     written = image
     if "photometric" in stored:
@@ -104,6 +105,29 @@ def test_thumbnails_are_no_frames(tmp_path: Path) -> None:
     pages = [tags(3, 4, 8, 12), tags(1, 2, 8, 2, t254=(4, [1])), tags(3, 4, 8, 12)]
     (tmp_path / "x.tif").write_bytes(tiff(pages, data))
     assert [file.label("x.tif") for file in expand(tmp_path / "x.tif")] == ["x.tif[0]", "x.tif[1]"]
+
+
+def test_pictures_that_share_one_header_are_all_frames(tmp_path: Path) -> None:
+    stack = np.stack([scene("uint16") + np.uint16(k) for k in range(5)])
+    path = tmp_path / "x.tif"
+    tifffile.imwrite(path, stack, imagej=True, truncate=True)
+    files = expand(path)
+    assert [file.label("x.tif") for file in files] == [f"x.tif[{k}]" for k in range(5)]
+    np.testing.assert_array_equal(np.stack([read_frame(file) for file in files]), stack)
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(InspectionError, match=r"x\.tif\[4\] can't be read \(the file ends"):
+        read_frame(expand(path)[4])
+
+
+def test_pictures_that_only_a_note_tells_of_are_not_lost_in_silence(tmp_path: Path) -> None:
+    path = tmp_path / "x.tif"
+    note = "ImageJ=1.11a\nimages=3\n"
+    tifffile.imwrite(path, scene("uint16"), compression="zlib", description=note, metadata=None)
+    with pytest.raises(InspectionError, match="several pictures follow its first one"):
+        [read_frame(file) for file in expand(path)]
+    tifffile.imwrite(path, scene("uint16"), description=f"{note[:-1]}000000\n", metadata=None)
+    with pytest.raises(InspectionError, match="has 3000000 pictures, more than the 1000"):
+        expand(path)
 
 
 # -- what is refused ------------------------------------------------------------------------
