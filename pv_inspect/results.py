@@ -22,6 +22,7 @@ from pv_inspect.cracks.features import FEATURES, from_texts, texts
 from pv_inspect.csv_tables import csv_lines, csv_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.folders import Reservation, read_steadily, recovered
+from pv_inspect.image_files.stored import stored_floats, stored_shape
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.origin import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.pipeline import Inspection
@@ -47,9 +48,6 @@ __all__ = [
     "tile_name",
     "write_result",
 ]
-
-# A module of 60 cells of 1000 x 1000 px has 60 million.
-_MOST_PIXELS = 2**29
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,28 +422,17 @@ def _csv(cells: tuple[CellFeatures, ...]) -> str:
 
 
 def _shape_of(path: Path) -> tuple[int, int]:
-    """Size of the first page of a TIFF, without reading its pixels."""
-    with _damaged(path), tifffile.TiffFile(path) as tif:
-        height, width = tif.pages[0].aspage().shape
-        if height * width > _MOST_PIXELS:
-            raise ValueError(f"it has {width} x {height} px")
-        return height, width
+    """Size of a stored image, without reading its pixels."""
+    with _damaged(path):
+        return stored_shape(path)
 
 
 def _read_image(path: Path, shape: tuple[int, int], gaps: bool = False) -> NDArray[np.float32]:
     """Read an image of a known size; ``gaps``: it may have pixels that are not known."""
-    if _shape_of(path) != shape:
-        with _damaged(path):
+    with _damaged(path):
+        if stored_shape(path) != shape:
             raise ValueError("it is of another size than the module image or its grid")
-    with _damaged(path), tifffile.TiffFile(path) as tif:
-        page = tif.pages[0].aspage()
-        # What is declared but not there would be made up, pixel by pixel.
-        stored, needed = sum(page.databytecounts), shape[0] * shape[1] * 4
-        if page.dtype != np.float32 or stored > path.stat().st_size or 1100 * stored < needed:
-            raise ValueError("it does not hold the pixels that it declares")
-        image = np.asarray(page.asarray(), np.float32)
-        if image.shape != shape:
-            raise ValueError(f"its shape is {image.shape}")
+        image = stored_floats(path)
         if np.isinf(image).any() or (not gaps and np.isnan(image).any()):
             raise ValueError("it has pixels that are no numbers")
     return image

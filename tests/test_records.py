@@ -238,8 +238,8 @@ def cut_tiles(path: Path) -> None:
     [
         ("cracks.tif", lambda p: tifffile.imwrite(p, np.zeros((5, 5), np.float32)), "another size"),
         ("module_hr.tif", lambda p: tifffile.imwrite(p, np.zeros((5, 5), "f4")), "beyond the ima"),
-        ("support.tif", lambda p: tifffile.imwrite(p, np.zeros((5, 5, 5), "f4")), "support.tif"),
-        ("cracks.tif", cut_tiles, "does not hold the pixels that it declares"),
+        ("support.tif", lambda p: tifffile.imwrite(p, np.zeros((5, 5, 5), "f4")), "it has 5 pages"),
+        ("cracks.tif", cut_tiles, "strips are declared but absent"),
         (
             "module_hr.tif",
             lambda p: tifffile.imwrite(p, np.full(tifffile.imread(p).shape, np.nan, "f4")),
@@ -248,7 +248,7 @@ def cut_tiles(path: Path) -> None:
         (
             "module_hr.tif",
             lambda p: tifffile.imwrite(p, np.zeros(tifffile.imread(p).shape, "c16")),
-            "does not hold the pixels",
+            "holds complex128 values in 1 channels",
         ),
     ],
 )
@@ -284,3 +284,10 @@ def test_a_pipe_in_the_place_of_a_record_is_not_waited_for(
     (out / "geometry.json").unlink()
     os.mkfifo(out / "geometry.json")
     assert "it is no file" in refusal(out, inspection)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes in the file system here")
+def test_a_pipe_in_place_of_an_image_is_not_waited_for(out: Path, inspection: Inspection) -> None:
+    (out / "support.tif").unlink()
+    os.mkfifo(out / "support.tif")
+    assert "it is no file but a pipe" in refusal(out, inspection)

@@ -8,12 +8,23 @@ _COPY_AGAIN = "copy it again from the camera or remove it."
 
 
 class ImageFileError(Exception):
-    """An image file can't be used; the text goes on after the file's name and ends a sentence."""
+    """An image file can't be used; the text goes on after the file's name and ends a sentence.
+
+    Parameters
+    ----------
+    text : str
+    reason : str, optional
+        What is wrong with it as a clause, without what to do.
+    """
+
+    def __init__(self, text: str, reason: str | None = None) -> None:
+        super().__init__(text)
+        self.reason = reason or f"it {text.partition(':')[0]}"
 
 
 def damaged(reason: str) -> ImageFileError:
     """The content is not what the format demands."""
-    return ImageFileError(f"can't be read ({reason}): {_COPY_AGAIN}")
+    return ImageFileError(f"can't be read ({reason}): {_COPY_AGAIN}", reason)
 
 
 def needs_decoder(what: str) -> ImageFileError:
