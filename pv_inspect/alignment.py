@@ -9,13 +9,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.compiling import compiled
+
 __all__ = ["N_PARAMETERS", "accumulate_frame", "normal_equations"]
 
 N_PARAMETERS = 10
 """Eight of the homography, then gain and offset."""
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _cubic(t, weights):  # type: ignore[no-untyped-def]
     """Catmull-Rom weights of the samples at -1, 0, 1, 2 for a place t in [0, 1)."""
     weights[0] = ((-0.5 * t + 1.0) * t - 0.5) * t
@@ -24,7 +26,7 @@ def _cubic(t, weights):  # type: ignore[no-untyped-def]
     weights[3] = (0.5 * t - 0.5) * t * t
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def _cubic_slope(t, weights):  # type: ignore[no-untyped-def]
     """Derivatives of `_cubic` with respect to t."""
     weights[0] = (-1.5 * t + 2.0) * t - 0.5
@@ -33,7 +35,7 @@ def _cubic_slope(t, weights):  # type: ignore[no-untyped-def]
     weights[3] = (1.5 * t - 1.0) * t
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def accumulate_frame(
     total: NDArray[np.float32],
     weight: NDArray[np.float32],
@@ -95,7 +97,7 @@ def accumulate_frame(
             weight[row, col] += 1.0
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def normal_equations(
     image: NDArray[np.float32],
     precision: NDArray[np.float32],

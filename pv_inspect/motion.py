@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.compiling import compiled
 from pv_inspect.taps import fill_taps, locate
 
 __all__ = ["STILL", "MovingFrame", "detail_left", "length_and_angle", "motion_of", "samples_of"]
@@ -154,7 +155,7 @@ class MovingFrame:
         )
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _count_rows(M, rays, per_px, moments, motion, shape, wanted, rows):  # type: ignore[no-untyped-def]
     for row in numba.prange(rays.shape[0]):
         place = np.empty(7)
@@ -167,7 +168,7 @@ def _count_rows(M, rays, per_px, moments, motion, shape, wanted, rows):  # type:
         rows[row + 1] = n
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _fill_rows(  # type: ignore[no-untyped-def]
     M, rays, per_px, moments, motion, shape, wanted, starts, pixels, places
 ):
@@ -184,7 +185,7 @@ def _fill_rows(  # type: ignore[no-untyped-def]
                 at += 1
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _sample(places, count, f, out):  # type: ignore[no-untyped-def]
     n = places.shape[0]
     chunk = 4096
@@ -203,7 +204,7 @@ def _sample(places, count, f, out):  # type: ignore[no-untyped-def]
             out[p] = s / count
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _scatter(places, bands, count, values, out):  # type: ignore[no-untyped-def]
     """Bands of one phase lie a band apart, so that their taps never meet."""
     n_bands = len(bands) - 1
@@ -223,7 +224,7 @@ def _scatter(places, bands, count, values, out):  # type: ignore[no-untyped-def]
                             line[ix + b - 1] += value * taps[3 * a + b]
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _normal(places, bands, count, weights, f, width, out):  # type: ignore[no-untyped-def]
     """As `_sample` and `_scatter`, with the taps made once; f and out are flat.
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.camera import Camera
+from pv_inspect.compiling import compiled
 from pv_inspect.layout import HrGrid
 from pv_inspect.motion import STILL, MovingFrame, samples_of
 from pv_inspect.psf import Blur, footprint_variance_lr_px2, kernel_of_variance
@@ -377,7 +378,7 @@ class NormalEquations:
         return self.stencil.apply(ones) if self.n_still else np.zeros_like(ones)
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     M, rays, per_px, moments, motion, g, weights, planes, back
 ):

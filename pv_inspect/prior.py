@@ -23,6 +23,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.compiling import compiled
 from pv_inspect.stencil import OFFSETS, Quadratic, Stencil
 
 __all__ = ["Btv", "Curvature", "Prior", "PriorName", "WeightedBtv", "prior_named"]
@@ -230,7 +231,7 @@ def _mean(image: Image) -> Image:
     return np.maximum(np.asarray(mean, image.dtype), 0)
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _energy(f, weights, out):  # type: ignore[no-untyped-def]
     """Weighted sum of squared second differences, one pixel off the border."""
     height, width = f.shape
@@ -249,7 +250,7 @@ def _energy(f, weights, out):  # type: ignore[no-untyped-def]
             row[x] = w0 * d0 * d0 + w1 * d1 * d1 + w2 * d2 * d2 + w3 * d3 * d3
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _curvature(f, v, weights, out):  # type: ignore[no-untyped-def]
     """Bands of rows; three rows of weighted second differences, one pixel wider, go along."""
     height, width = f.shape
@@ -283,7 +284,7 @@ def _curvature(f, v, weights, out):  # type: ignore[no-untyped-def]
                 row[x] = sides + a2[x] + c2[x + 2] + a3[x + 2] + c3[x] - two * s
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _btv(f, weights, scale, smoothing, exponent):  # type: ignore[no-untyped-def]
     height, width = f.shape
     rows = np.zeros(height)
@@ -303,7 +304,7 @@ def _btv(f, weights, scale, smoothing, exponent):  # type: ignore[no-untyped-def
     return rows
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc", "arcp"})
+@compiled(parallel=True, fastmath={"contract", "reassoc", "arcp"})
 def _edges(f, weights, scale, smoothing, exponent, planes):  # type: ignore[no-untyped-def]
     """Off-diagonal planes: minus the edge weights."""
     height, width = f.shape
@@ -329,7 +330,7 @@ def _edges(f, weights, scale, smoothing, exponent, planes):  # type: ignore[no-u
                     row[x] = w * (s2 * d * d + e2) ** power
 
 
-@numba.njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _degrees(planes):  # type: ignore[no-untyped-def]
     """Diagonal: sum of the weights of all edges at a pixel."""
     height, width = planes.shape[1:]

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Column
 
 from pv_inspect import signals
+from pv_inspect.compiling import cache_problem
 from pv_inspect.generators import relayed, result_of
 from pv_inspect.notebook import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step
@@ -73,6 +74,8 @@ def _drive(events: Generator[_Event, None, T], quiet: bool) -> T:
     console = Console(stderr=True)
     if quiet:
         return result_of(events)
+    if problem := cache_problem():
+        console.print(f"pv-inspect: {problem}", markup=False, highlight=False, soft_wrap=True)
     if in_notebook():
         return _with_notebook_bar(events)
     if console.is_terminal:

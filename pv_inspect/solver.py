@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from pv_inspect.compiling import compiled
 from pv_inspect.observation import NormalEquations
 from pv_inspect.preconditioning import Spectral
 from pv_inspect.prior import Prior, PriorName, prior_named
@@ -224,7 +225,7 @@ def _turn(beta: float, p: Image, r: Image, scale: Image) -> None:
     _turn_rows(p.dtype.type(beta), p, r, scale)
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _step_rows(length, f, residual, r, p, data, full, scale, rows):  # type: ignore[no-untyped-def]
     """Go along p and update both residuals; rows of r' scale r."""
     for y in numba.prange(f.shape[0]):
@@ -238,7 +239,7 @@ def _step_rows(length, f, residual, r, p, data, full, scale, rows):  # type: ign
         rows[y] = s
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract"})
+@compiled(parallel=True, fastmath={"contract"})
 def _turn_rows(beta, p, r, scale):  # type: ignore[no-untyped-def]
     """Next conjugate direction."""
     for y in numba.prange(p.shape[0]):

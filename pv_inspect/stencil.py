@@ -9,6 +9,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.compiling import compiled
+
 __all__ = ["OFFSETS", "Quadratic", "Stencil", "dot"]
 
 Image = NDArray[np.floating]
@@ -72,7 +74,7 @@ def dot(a: Image, b: Image) -> float:
     return float(rows.sum())
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
+@compiled(parallel=True, fastmath={"contract", "reassoc"})
 def _dot_rows(a, b, rows):  # type: ignore[no-untyped-def]
     for y in numba.prange(a.shape[0]):
         s = 0.0
@@ -81,7 +83,7 @@ def _dot_rows(a, b, rows):  # type: ignore[no-untyped-def]
         rows[y] = s
 
 
-@numba.njit(cache=True, parallel=True, fastmath={"contract"})
+@compiled(parallel=True, fastmath={"contract"})
 def _apply(planes, f, out):  # type: ignore[no-untyped-def]
     """Slices instead of shifted indices: only then do the loops become vector instructions."""
     height, width = f.shape

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from pv_inspect.compiling import compiled
 
 __all__ = ["TAP_VARIANCE", "fill_taps", "locate"]
 
@@ -15,7 +16,7 @@ TAP_VARIANCE = 0.25
 _LOW, _HIGH = -0.15, 2.0
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def locate(M, ray, per_px, moments, motion, shape, place):  # type: ignore[no-untyped-def]
     """Where one LR pixel lies on the HR grid; False if its footprint leaves the grid.
 
@@ -51,7 +52,7 @@ def locate(M, ray, per_px, moments, motion, shape, place):  # type: ignore[no-un
     return True
 
 
-@numba.njit(cache=True, inline="always")
+@compiled(inline="always")
 def fill_taps(x, y, vx, vy, vxy, taps):  # type: ignore[no-untyped-def]
     """Nine taps with the mean (x, y) and given second moments; returns the middle (iy, ix).
 

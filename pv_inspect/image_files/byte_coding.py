@@ -13,10 +13,10 @@ import lzma
 import zlib
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.compiling import compiled
 from pv_inspect.image_files.problems import damaged, needs_decoder
 
 __all__ = ["lzma_bytes", "lzw", "packbits", "unpacked_zlib"]
@@ -83,7 +83,7 @@ def _enough(found: bytes, least: int) -> bytes:
     return found
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _lzw(data: Bytes, out: Bytes) -> int:  # pragma: no cover
     """Number of bytes written to ``out``; -1 for a code that can't be."""
     prefix = np.zeros(_MOST_CODES, np.int32)
@@ -133,7 +133,7 @@ def _lzw(data: Bytes, out: Bytes) -> int:  # pragma: no cover
     return at
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _packbits(data: Bytes, out: Bytes) -> int:  # pragma: no cover
     """Number of bytes written to ``out``; -1 if a run is cut."""
     i, at = 0, 0
