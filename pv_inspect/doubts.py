@@ -103,4 +103,5 @@ def _blindness(inspection: Inspection) -> str:
         if counts.undecidable
         else "check that current flows through the module"
     )
-    return f"{counts.unjudged_text}, so that no mark does not mean no crack: {todo}."
+    unjudged = counts.unjudged_text
+    return f"{unjudged}, so that cells without marks may be cracked all the same: {todo}."

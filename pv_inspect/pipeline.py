@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -170,8 +170,10 @@ class Inspection:
         later = [s for s in _FIELD if s.index > stage.index]
         seconds = {k: v for k, v in self.seconds.items() if k not in {s.value for s in later}}
         emptied = dict.fromkeys((_FIELD[s] for s in later), None)
+        # What was said about the whole result is not true of this one.
+        said: dict[str, Any] = {"seconds": seconds, "warnings": (), "doubts": ()}
         # `replace` can't know which type belongs to which field; _STAGE_OF_PART does.
-        return replace(self, seconds=seconds, **{**emptied, _FIELD[stage]: part})  # type: ignore[arg-type]
+        return replace(self, **said, **{**emptied, _FIELD[stage]: part})  # type: ignore[arg-type]
 
     def plot_grid(self, frame: int | None = None, ax: Axes | None = None) -> Axes:
         """Plot a frame with its crossing points and the fitted grid; see `plotting`."""
@@ -208,7 +210,7 @@ class Inspection:
         emptied = {_FIELD[stage]: None for stage in stale if stage in _FIELD}
         seconds = {k: v for k, v in self.seconds.items() if Stage(k) not in stale}
         kept: Inspection = replace(self, settings=settings, seconds=seconds, **emptied)  # type: ignore[arg-type]
-        return kept
+        return replace(kept, warnings=(), doubts=()) if emptied else kept
 
 
 def _position(stage: Stage) -> int:

@@ -18,6 +18,7 @@ __all__ = [
     "CORRECTED_RGB",
     "CRACKS",
     "CRACK_RGB",
+    "DOUBT_COLOUR",
     "EDITED_COLOUR",
     "FOCUS_ON_DARK",
     "FOCUS_ON_LIGHT",
@@ -33,6 +34,7 @@ __all__ = [
     "PRIMARY_COLOUR",
     "PRIMARY_HOVER_COLOUR",
     "SUPPORT",
+    "WARNING_COLOUR",
     "contrast_limits",
     "corrected_colormap",
     "crack_colormap",
@@ -64,6 +66,10 @@ FOCUS_ON_DARK, FOCUS_ON_LIGHT = "#F0E442", "#1A1A1A"
 """Of the border around what the keyboard acts on."""
 CORRECTED_RGB = (0.0, 0.447, 0.698)
 """Of marks that a person has drawn: stands out from grey and from orange with any colour vision."""
+
+
+WARNING_COLOUR, DOUBT_COLOUR = "#E69F00", "#F0803C"
+"""Of words on the dark of napari: worth knowing, and a reason not to rely on a result."""
 
 
 def crack_colormap() -> dict[str, Any]:

@@ -21,7 +21,7 @@ class FrameRow:
     grid_px : float
         Distance of the measured crossing points from the fitted grid (RMS), LR px; NaN: unknown.
     residual : float
-        Against the module image, in units of the noise; NaN: unknown.
+        Against the module image, in units of the noise; NaN: unknown, there is no image yet.
     motion_px : float
         Length of the motion blur, LR px; NaN: unknown.
     used : bool or None
@@ -93,11 +93,9 @@ def _numbers(inspection: Inspection | None, i: int) -> tuple[float, float, float
         return grid, residual, motion
     if inspection.calibration is not None:
         grid = float(inspection.calibration.rms_px[i])
-    if inspection.registration is not None:
-        residual = float(inspection.registration.rms[i])
-        made = inspection.reconstruction
-        if made is not None and inspection.registration.used[i]:
-            motion = float(made.motion[i][0])
+    made, poses = inspection.reconstruction, inspection.registration
+    if made is not None and poses is not None and poses.used[i]:
+        residual, motion = float(made.residual_rms[i]), float(made.motion[i][0])
     return grid, residual, motion
 
 

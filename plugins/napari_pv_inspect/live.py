@@ -130,9 +130,17 @@ class LiveKappa:
 
     @property
     def fitted_kappa(self) -> float | None:
-        """Kappa of the newest fit, None if there is none."""
-        fit = self._editor.calibration
-        return None if fit is None else float(fit.camera.kappa)
+        """Kappa of the newest fit, that of the registration if it still holds; None: no fit."""
+        final, fit = self._final_kappa, self._editor.calibration
+        return final if final is not None or fit is None else float(fit.camera.kappa)
+
+    @property
+    def _final_kappa(self) -> float | None:
+        """Kappa that the registration has refined; None before it and after an edit."""
+        inspection = self._model.inspection
+        if inspection is None or inspection.registration is None or self._editor.provisional:
+            return None
+        return float(inspection.registration.camera.kappa)
 
     def hold(self, frame: int, points: dict[int, Point]) -> None:
         """Bend the grid while the hand holds crossings at other places; {}: it let go.
@@ -164,7 +172,9 @@ class LiveKappa:
             return
         kappa = float(fit.camera.kappa)
         why = fit.why[frame].rstrip(".")
-        error = f"can't be fitted: {why}" if why else f"{fit.rms_px[frame]:.2f} px"
+        error = f"can't be fitted: {why}" if why else f"{fit.rms_px[frame]:.2f} px from the grid"
+        final = self._final_kappa
+        named = f"preliminary kappa {kappa:+.4f}" if final is None else f"kappa {final:+.4f}"
         own_kappa = settings.kappa is not None and abs(settings.kappa - kappa) >= 1e-9
         own_file = settings.calibration_file != inspection.settings.calibration_file
         if not own_kappa and not own_file and not self._held:
@@ -174,7 +184,7 @@ class LiveKappa:
             else:
                 self._geometry.straighten()
             state = "edited, all frames follow" if self._editor.provisional else "fit"
-            self.residual_changed.emit(f"This frame, {state}: kappa {kappa:+.4f}, {error}")
+            self.residual_changed.emit(f"This frame, {state}: {named}, crossings {error}")
             return
         crossings = self._editor.with_points(frame, self._held)
         if self._held and not own_kappa and not own_file:
@@ -191,9 +201,10 @@ class LiveKappa:
             return
         self._geometry.bend(frame, bent.segments)
         self.held_rms_px = bent.rms_px if self._held else None
-        what = "This frame, dragged," if self._held else "This frame"
-        fitted = f"fit: kappa {kappa:+.4f}, {error}"
-        self.residual_changed.emit(f"{what} {bent.rms_px:.2f} px ({fitted})")
+        what = "This frame, dragged" if self._held else "This frame"
+        self.residual_changed.emit(
+            f"{what}: crossings {bent.rms_px:.2f} px from the grid (fit: {named}, {error})"
+        )
 
     def _on_settings(self, settings: Settings) -> None:
         lens = _lens(settings)

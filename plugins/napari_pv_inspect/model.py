@@ -111,6 +111,34 @@ class WorkbenchModel:
             return frozenset(Stage)
         return self.inspection.stale(self.settings)
 
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why what is shown must not be relied on; empty while a run works on something new."""
+        if self.run_state is not RunState.IDLE:
+            return ()
+        if self.inspection is not None:
+            return self.inspection.doubts
+        return self.result.doubts if self.result is not None and self.sequence is None else ()
+
+    @property
+    def put_away(self) -> str:
+        """Why the result of other rows and columns is not shown; "" if there is none such.
+
+        As long as no run has failed it is what the user may go back to; after a run with the new
+        ones has failed it must not be taken for the result of that run.
+        """
+        old, asked = self.inspection, self.settings
+        failed = self.failure is not None and self.run_state is RunState.IDLE
+        if not failed or old is None or old.reconstruction is None:
+            return ""
+        layout = old.layout
+        if Stage.DETECT not in self.to_do or (layout.rows, layout.cols) == (asked.rows, asked.cols):
+            return ""
+        return (
+            f"The run with {asked.rows} x {asked.cols} cells failed. The earlier result with "
+            f"{layout.rows} x {layout.cols} is put away: set rows and columns back to see it again."
+        )
+
     def open(self, sequence: Sequence) -> None:
         """Put another sequence on the bench; settings about the module come from its sidecar."""
         hint = {

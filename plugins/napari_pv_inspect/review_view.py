@@ -8,7 +8,7 @@ from psygnal import Signal
 
 from napari_pv_inspect.review_book import Book, Side
 from napari_pv_inspect.review_subject import Mask, Subject
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CellCounts, CellFeatures, CellState, state_of
 from pv_inspect.review import (
     Cell,
     Order,
@@ -44,6 +44,8 @@ class ReviewView:
         Verdicts of the cells that are listed.
     disputed_only : bool
         List only cells about which raters say different things.
+    states : tuple of CellState
+        What must be known about the cracks of the cells that are listed.
     threshold : float
         Probability from which pixels are painted as cracks.
     """
@@ -63,6 +65,7 @@ class ReviewView:
         self.order = Order.POSITION
         self.kinds = EVERY
         self.disputed_only = False
+        self.states = tuple(CellState)
         self.threshold = 0.5
 
     @property
@@ -134,7 +137,23 @@ class ReviewView:
         """Cells that pass the filter, in order."""
         passed = filtered(self._ordered(), self._side.verdicts, self.kinds)
         cells = ((f.row, f.col) for f in passed)
-        return tuple(c for c in cells if not self.disputed_only or self.is_disputed(c))
+        every = len(self.states) == len(CellState)
+        return tuple(
+            c
+            for c in cells
+            if (not self.disputed_only or self.is_disputed(c))
+            and (every or self.state_of(c) in self.states)
+        )
+
+    @property
+    def counts(self) -> CellCounts | None:
+        """Cells by what the detector says about them; None while it has not said anything."""
+        return CellCounts.of(self._found.values()) if self._found else None
+
+    def state_of(self, cell: Cell) -> CellState | None:
+        """What the detector says about a cell; marks that a person corrected do not change it."""
+        found = self._found.get(cell)
+        return None if found is None else state_of(found)
 
     @property
     def progress(self) -> Progress | None:
@@ -154,9 +173,15 @@ class ReviewView:
         self.order = order
         self.listing_changed.emit()
 
-    def set_filter(self, kinds: Iterable[VerdictKind | None], disputed_only: bool = False) -> None:
-        """List cells with these verdicts only; None stands for cells without one."""
+    def set_filter(
+        self,
+        kinds: Iterable[VerdictKind | None],
+        disputed_only: bool = False,
+        states: Iterable[CellState] = CellState,
+    ) -> None:
+        """List cells with these verdicts and states only; None stands for no verdict."""
         self.kinds, self.disputed_only = tuple(kinds), disputed_only
+        self.states = tuple(states)
         self.listing_changed.emit()
 
     def set_threshold(self, threshold: float) -> None:

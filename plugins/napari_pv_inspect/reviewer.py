@@ -15,6 +15,7 @@ from napari_pv_inspect.review_subject import Subject
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
 from pv_inspect.review import Cell, VerdictKind
+from pv_inspect.settings import Settings
 
 __all__ = ["Reviewer"]
 
@@ -61,6 +62,7 @@ class Reviewer(QObject):
             (model.inspection_changed, self._on_inspection),
             (model.result_opened, self._on_result),
             (model.run_changed, self._on_run),
+            (model.settings_changed, self._on_settings),
             (model.cell_selected, self._on_cell),
         )
         for signal, slot in self._signals:
@@ -165,6 +167,10 @@ class Reviewer(QObject):
 
     def _on_inspection(self, _: Inspection | None) -> None:
         shown = self._model.shown
+        if self._model.put_away:
+            if self.state.reviewed is not None:
+                self.state.empty(self._model.put_away)
+            return
         subject = None if shown is None else Subject.of_inspection(shown)
         if shown is not None and subject is None:
             self._empty(shown)
@@ -207,6 +213,11 @@ class Reviewer(QObject):
 
     def _on_run(self, _: RunState) -> None:
         self._on_inspection(self._model.shown)
+
+    def _on_settings(self, _: Settings) -> None:
+        # Cells that were put away come back with their rows and columns.
+        if self._model.put_away or self.state.subject is None:
+            self._on_inspection(self._model.shown)
 
     def _on_cell(self, cell: Cell | None) -> None:
         if cell is not None and self.state.folder is not None:

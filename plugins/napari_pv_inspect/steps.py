@@ -36,6 +36,7 @@ class Status(Enum):
     NEXT = "comes next"
     STALE = "out of date: a setting was changed since"
     FAILED = "failed"
+    DOUBTED = "in doubt"
     WAITING = "not done yet"
 
 
@@ -73,10 +74,17 @@ class NextStep:
 def steps_of(model: WorkbenchModel) -> tuple[StepView, ...]:
     """Return all steps from load to review."""
     statuses = _from_folder() if _only_looked_at(model) else _statuses(model)
+    if model.doubts:
+        doubted = (name for name in _DOUBTED if statuses.get(name, Status.WAITING) is Status.DONE)
+        statuses.update(dict.fromkeys(doubted, Status.DOUBTED))
     views = []
     for name, status in statuses.items():
-        why = model.failure.why if model.failure and status is Status.FAILED else ""
-        views.append(StepView(name, status, f"{name}: {why or status.value}. {_WHAT[name]}"))
+        why = status.value
+        if model.failure and status is Status.FAILED:
+            why = model.failure.why.rstrip(".")
+        elif status is Status.DOUBTED:
+            why = f"{status.value}: {' '.join(model.doubts).rstrip('.')}"
+        views.append(StepView(name, status, f"{name}: {why}. {_WHAT[name]}"))
     return tuple(views)
 
 
@@ -157,6 +165,10 @@ def _from_folder() -> dict[str, Status]:
     """Return the steps of a result whose frames are not there."""
     done = dict.fromkeys((stage.value for stage in _STAGES), Status.DONE)
     return {"load": Status.WAITING, **done, REVIEW: Status.NEXT}
+
+
+# What a doubt is about: the image, and all that is read from it.
+_DOUBTED = tuple(stage.value for stage in (Stage.RECONSTRUCT, Stage.CELLS, Stage.CRACKS))
 
 
 def _only_looked_at(model: WorkbenchModel) -> bool:

@@ -12,6 +12,7 @@ from napari.layers import Layer
 from napari.utils.notifications import show_error
 from psygnal import Signal
 from qtpy.QtCore import QEvent, QObject, Qt, QTimer
+from qtpy.QtWidgets import QDialog
 from superqt.utils import qthrottled
 
 from napari_pv_inspect.drops import DropTaker
@@ -44,6 +45,7 @@ from pv_inspect.results import Result
 __all__ = ["Workbench"]
 
 PREVIEW_MS = 300
+STATUS_LETTERS = 90
 
 
 class Workbench(QObject):
@@ -236,6 +238,16 @@ class Workbench(QObject):
 
     def _on_notice(self, text: str, is_error: bool) -> None:
         # Good news stands in the dock and in the status bar: it needs no pop-up over the image.
-        self.viewer.status = text
+        # A long sentence would be cut off there.
+        self.viewer.status = text if len(text) <= STATUS_LETTERS else ""
         if is_error:
             show_error(text)
+            if self._main_window is not None:
+                _expand_newest_popup(self._main_window)
+
+
+def _expand_newest_popup(window: QObject) -> None:
+    """Show all of a message: napari shows as much of it as fits into a line."""
+    popups = [p for p in window.findChildren(QDialog) if hasattr(p, "toggle_expansion")]
+    if popups and not popups[-1].property("expanded"):
+        popups[-1].toggle_expansion()

@@ -217,7 +217,7 @@ class RunController(QObject):
                 wish = None
         else:
             self.model.end_run(outcome.inspection, keep_draft=self._until is not None)
-            self.model.notice(_summary(self.model.inspection))
+            self.model.notice(_summary(self.model.inspection), is_error=bool(self.model.doubts))
         release()
         if wish is not None:
             self.start(wish.until)
@@ -229,5 +229,9 @@ def _summary(inspection: Inspection | None) -> str:
     frames = inspection.registration or inspection.calibration
     used = "" if frames is None else f"{int(frames.used.sum())} of {len(frames.used)} frames used"
     if inspection.complete:
-        return f"Done: {used}, {sum(inspection.seconds.values()):.0f} s."
+        seconds = f"{sum(inspection.seconds.values()):.0f} s"
+        if inspection.doubts:
+            more = len(inspection.doubts) - 1
+            return f"In doubt: {inspection.doubts[0]}" + (f" ({more} more below)" if more else "")
+        return f"Done: {used}, {seconds}."
     return f"Grid fitted: {used}."

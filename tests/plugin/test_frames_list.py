@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 from qtpy.QtCore import QModelIndex, QPoint, Qt
+from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.docks.frames_box import GRID, NAME, STATUS
 from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
@@ -15,6 +16,7 @@ from pv_inspect.pipeline import Inspection
 from pv_inspect.registration import LEFT_OUT
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
+from tests.plugin.reviewing import show
 
 TICK = Qt.ItemDataRole.CheckStateRole
 
@@ -49,7 +51,8 @@ def test_the_numbers_are_those_of_the_inspection(
     assert tiny_inspection.registration is not None
     assert tiny_inspection.reconstruction is not None
     assert row.grid_px == tiny_inspection.calibration.rms_px[2]
-    assert row.residual == tiny_inspection.registration.rms[2]
+    assert row.residual == tiny_inspection.reconstruction.residual_rms[2]
+    assert row.residual != tiny_inspection.registration.rms[2]
     assert row.motion_px == tiny_inspection.reconstruction.motion[2][0]
     assert row.fate == "used"
 
@@ -123,6 +126,34 @@ def test_row_and_time_slider_go_together_also_when_sorted(filled: Any, qtbot: Qt
         viewer.dims.set_current_step(0, frame)
         assert box.sorted.mapToSource(box.view.currentIndex()).row() == frame
         assert viewer.dims.current_step[0] == frame
+
+
+def test_the_reason_of_a_frame_that_is_not_used_is_shown_whole(
+    filled: Any, tiny_inspection: Inspection
+) -> None:
+    _, dock, _ = filled
+    why = (
+        "it does not show the same module as the others (correlation 0.12, typically 0.93): the "
+        "cell in row 2, column 3 is another one"
+    )
+    show(dock, with_fate(tiny_inspection, 3, why, tiny_inspection.settings))
+    box = dock.frames
+    box.view.sortByColumn(NAME, Qt.SortOrder.DescendingOrder)
+    box.view.resize(290, 300)
+    box.view.show()
+    QApplication.processEvents()
+    assert box.table.index(3, GRID).data() == f"rejected: {why}"
+    (row,) = (k for k in range(5) if box.sorted.mapToSource(place(box, k)).row() == 3)
+    usual = box.view.verticalHeader().defaultSectionSize()
+    rect = box.view.visualRect(place(box, row, GRID))
+    assert box.view.columnSpan(row, GRID) == 4
+    needed = box.view.fontMetrics().boundingRect(
+        rect.adjusted(0, 0, 0, 999), Qt.TextFlag.TextWordWrap, f"rejected: {why}"
+    )
+    assert rect.height() >= needed.height() > usual
+    assert [box.view.rowHeight(k) for k in range(5) if k != row] == [usual] * 4
+    show(dock, tiny_inspection)
+    assert [box.view.rowHeight(k) for k in range(5)] == [usual] * 5
 
 
 def test_a_tick_changes_the_settings_and_can_be_undone(filled: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,12 +38,36 @@ def test_the_curve_has_its_lowest_point_at_the_fit(lens: Any, qtbot: QtBot) -> N
 
 def test_the_mark_follows_the_slider_and_fit_brings_it_back(lens: Any) -> None:
     dock, box = lens
-    fitted = dock.bench.model.inspection.calibration.camera.kappa
+    fitted = dock.bench.model.inspection.registration.camera.kappa
     assert box.curve.kappa == pytest.approx(fitted)
     box.kappa.number.setValue(0.123)
     assert box.curve.kappa == pytest.approx(0.123)
     box.fit.click()
     assert box.curve.kappa == pytest.approx(fitted)
+
+
+def refined(inspection: Any) -> Any:
+    """The same, as if the registration had found another kappa than the crossing points."""
+    poses = inspection.registration
+    camera = replace(poses.camera, kappa=poses.camera.kappa + 0.0031)
+    return replace(inspection, registration=replace(poses, camera=camera))
+
+
+def test_kappa_is_the_same_on_the_page_and_in_the_footer(lens: Any, qtbot: QtBot) -> None:
+    dock, box = lens
+    whole = refined(dock.bench.model.inspection)
+    dock.bench.model.inspection = whole
+    dock.bench.model.inspection_changed.emit(whole)
+    assert box.kappa.number.value() == pytest.approx(whole.registration.camera.kappa, abs=1e-4)
+    kappa = f"kappa {whole.registration.camera.kappa:+.4f}"
+    assert kappa in dock.result.summary.text()
+    qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
+    assert "preliminary" not in box.residual.text() + dock.result.summary.text()
+    dock.bench.model.inspection = early = whole.with_part(whole.calibration)
+    dock.bench.model.inspection_changed.emit(early)
+    kappa = f"preliminary kappa {whole.calibration.camera.kappa:+.4f}"
+    assert kappa in dock.result.summary.text()
+    qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
 
 
 def test_the_drawing_shows_curve_and_marks(qtbot: QtBot) -> None:

@@ -97,6 +97,19 @@ def test_a_run_shows_what_it_works_on_and_can_be_cancelled_or_renewed(
     assert next_step(model).text == "Run anew"
 
 
+def test_a_result_in_doubt_has_no_green_image_and_says_why(
+    model: WorkbenchModel, tiny_inspection: Inspection
+) -> None:
+    finish(model, replace(tiny_inspection, doubts=("These look like 7 modules.",)))
+    assert statuses(model) == [D, D, D, D, *[Status.DOUBTED] * 3, N]
+    cracks = steps_of(model)[6]
+    assert cracks.status.value == "in doubt"
+    assert "These look like 7 modules." in cracks.tip
+    model.change_settings(prior_weight=0.3)
+    assert Status.DOUBTED not in statuses(model)
+    assert model.doubts, "what is shown still is in doubt"
+
+
 def test_a_failed_step_says_why_until_the_next_try(
     model: WorkbenchModel, tiny_inspection: Inspection
 ) -> None:

@@ -15,17 +15,20 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_pv_inspect.appearance import WARNING_COLOUR
 from napari_pv_inspect.docks.folding_bar import FoldingBar
 from napari_pv_inspect.docks.gallery_list import GAP, CellList, TileDelegate, cell_text
 from napari_pv_inspect.docks.hand import Dress
 from napari_pv_inspect.docks.large_cell import large_cell, open_cell
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.docks.review_keys import bind_review_keys
+from napari_pv_inspect.facts import capitalised
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.review_model import EVERY, ReviewModel
 from napari_pv_inspect.review_subject import Subject
 from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
+from pv_inspect.cracks import CellState
 from pv_inspect.review import Cell, Order, VerdictKind
 
 __all__ = ["BY_CRACKS", "BY_POSITION", "CellsDock"]
@@ -45,6 +48,8 @@ FILTERS: dict[str, tuple[VerdictKind | None, ...]] = {
     **{kind.label: (kind,) for kind in VerdictKind},
     DISPUTED: EVERY,
 }
+STATES = dict(enumerate(CellState, len(FILTERS) + 1))
+"""Place of the filters by what the detector says, after those by verdict and a line between."""
 
 
 # Width of a thumbnail, px: it fits the columns of the module if they may be as small or large.
@@ -75,9 +80,13 @@ class CellsDock(QWidget):
             "Order of the cells: as in the module, highest crack score or worst verdict first.",
         )
         self.filter = _combo(
-            FILTERS,
-            "Show only cells with this verdict of yours, or those about which raters differ.",
+            {**FILTERS, **{state.value: () for state in CellState}},
+            "Show only cells with this verdict of yours, those about which raters differ, or those "
+            "of which the detector says this.",
         )
+        self.filter.insertSeparator(len(FILTERS))
+        for k, state in STATES.items():
+            self.filter.setItemData(k, state.meaning, Qt.ItemDataRole.ToolTipRole)
         self.opacity = _slider(75, "Opacity of the crack marks, percent; 0 hides them.")
         self.threshold = _slider(
             50, "Crack probability, percent, from which pixels are painted; measures nothing."
@@ -92,6 +101,9 @@ class CellsDock(QWidget):
             "A click or an arrow key shows the cell large, in place of frames and module image; "
             "else the view moves there."
         )
+        self.counts = QLabel()
+        self.counts.setWordWrap(True)
+        self.counts.setStyleSheet(f"color: {WARNING_COLOUR}")
         self.caption = QLabel(PLACE)
         self.caption.setWordWrap(True)
         self.bar = FoldingBar(
@@ -105,11 +117,12 @@ class CellsDock(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
         layout.addWidget(self.bar)
+        layout.addWidget(self.counts)
         layout.addWidget(self.view, 1)
         # Below, so that no tile moves under the mouse when it goes.
         layout.addWidget(self.caption)
         self.order.currentTextChanged.connect(self._on_order)
-        self.filter.currentTextChanged.connect(self._on_filter)
+        self.filter.currentIndexChanged.connect(self._on_filter)
         self.opacity.valueChanged.connect(self._on_opacity)
         self.threshold.valueChanged.connect(self._on_threshold)
         self.view.selectionModel().currentChanged.connect(self._on_current)
@@ -166,6 +179,7 @@ class CellsDock(QWidget):
         # The height of the tiles may be another one.
         self.view.setGridSize(self._delegate.tile())
         self._on_threshold_changed(self._review.threshold)
+        self._count()
         self._mark(self._model.selected_cell)
         if subject is not None:
             self.filled.emit()
@@ -183,8 +197,20 @@ class CellsDock(QWidget):
     def _on_order(self, text: str) -> None:
         self._review.set_order(ORDERS[text])
 
-    def _on_filter(self, text: str) -> None:
-        self._review.set_filter(FILTERS[text], text == DISPUTED)
+    def _on_filter(self, k: int) -> None:
+        if k in STATES:
+            self._review.set_filter(EVERY, states=(STATES[k],))
+        elif (text := self.filter.itemText(k)) in FILTERS:
+            self._review.set_filter(FILTERS[text], text == DISPUTED)
+
+    def _count(self) -> None:
+        """Say how many cells are of each state."""
+        counts = self._review.counts
+        for k, state in STATES.items():
+            number = "" if counts is None else f" ({counts[state]})"
+            self.filter.setItemText(k, f"{state.value}{number}")
+        self.counts.setText("" if counts is None else capitalised(counts.text))
+        self.counts.setVisible(counts is not None and counts.unjudged_text != "")
 
     def _on_opacity(self, percent: int) -> None:
         self.cells.set_opacity(percent / 100)

@@ -68,7 +68,7 @@ class CurveView(QWidget):
         if curve is None or not np.isfinite(curve.rms_px).any():
             painter.setPen(faint)
             painter.drawText(
-                self.rect(), Qt.AlignmentFlag.AlignCenter, "residual over kappa: after the fit"
+                self.rect(), Qt.AlignmentFlag.AlignCenter, "distance over kappa: after the fit"
             )
             return
         width, height = self.width() - LEFT - RIGHT, self.height() - TOP - BOTTOM

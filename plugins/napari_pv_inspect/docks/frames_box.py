@@ -9,6 +9,7 @@ from qtpy.QtCore import (
     QModelIndex,
     QSortFilterProxyModel,
     Qt,
+    QTimer,
     Signal,
 )
 from qtpy.QtGui import QColor
@@ -32,11 +33,11 @@ __all__ = ["FrameTable", "FramesBox"]
 COLUMNS = {
     "Frame": "File of the frame. The tick says whether the next run uses it.",
     "Grid": "Distance of the measured crossing points from the fitted grid (RMS). Unit: LR px.",
-    "Rest": "What registration leaves between frame and module image. Unit: noise; 1 is ideal.",
+    "Residual": "Frame against the finished module image. Unit: noise; 1 is ideal.",
     "Blur": "Length of the motion blur during the exposure. Unit: LR px.",
     "Status": "Used, or why not.",
 }
-NAME, GRID, REST, BLUR, STATUS = range(len(COLUMNS))
+NAME, GRID, RESIDUAL, BLUR, STATUS = range(len(COLUMNS))
 TICK_TIP = (
     "Take the tick away to leave this frame out; set it at a rejected frame to use it nevertheless "
     "(that helps only where its grid was found)."
@@ -103,10 +104,14 @@ class FrameTable(QAbstractTableModel):
         row, column = self.rows[index.row()], index.column()
         if role == Qt.ItemDataRole.CheckStateRole and column == NAME:
             return Qt.CheckState.Checked if row.wanted else Qt.CheckState.Unchecked
-        number = {GRID: row.grid_px, REST: row.residual, BLUR: row.motion_px}.get(column)
+        number = {GRID: row.grid_px, RESIDUAL: row.residual, BLUR: row.motion_px}.get(column)
         if role == Qt.ItemDataRole.DisplayRole:
+            if column == GRID and is_told_whole(row):
+                return row.fate
             if number is not None:
                 return f"{number:.2f}" if math.isfinite(number) else ""
+            if column == STATUS and is_told_whole(row):
+                return ""  # it stands in the place of the numbers
             return row.name if column == NAME else row.fate
         if role == SORT_ROLE:
             if number is not None:
@@ -115,7 +120,9 @@ class FrameTable(QAbstractTableModel):
         if role == Qt.ItemDataRole.ToolTipRole:
             return f"{row.name}: {row.fate or 'nothing known yet'}\n{TICK_TIP}"
         if role == Qt.ItemDataRole.ForegroundRole and not row.wanted:
-            return REJECTED if row.used is False and column == STATUS else LEFT_OUT
+            return REJECTED if row.used is False and column in (GRID, STATUS) else LEFT_OUT
+        if role == Qt.ItemDataRole.TextAlignmentRole and column == GRID and is_told_whole(row):
+            return Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.TextAlignmentRole and number is not None:
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         return None
@@ -128,6 +135,11 @@ class FrameTable(QAbstractTableModel):
             return False
         self.tick_wanted.emit(index.row(), Qt.CheckState(value) == Qt.CheckState.Checked)
         return True
+
+
+def is_told_whole(row: FrameRow) -> bool:
+    """Whether the fate of a frame takes the place of its numbers, wrapped over several lines."""
+    return row.used is False
 
 
 class FramesBox(QWidget):
@@ -149,7 +161,7 @@ class FramesBox(QWidget):
         self.view.verticalHeader().hide()
         self.view.verticalHeader().setDefaultSectionSize(20)
         self.view.setMinimumHeight(150)
-        self.view.setWordWrap(False)
+        self.view.setWordWrap(True)
         # The tab key goes on to the next control, not from place to place.
         self.view.setTabKeyNavigation(False)
         self.view.setAccessibleName("Frames")
@@ -161,12 +173,15 @@ class FramesBox(QWidget):
         header.setStretchLastSection(True)
         header.setMinimumSectionSize(30)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        # A long status is cut off; its tooltip is not.
         self.view.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.view.setStyleSheet(TICKS)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        for column, width in ((NAME, 128), (GRID, 36), (REST, 36), (BLUR, 36)):
+        for column, width in ((NAME, 112), (GRID, 36), (RESIDUAL, 62), (BLUR, 36)):
             self.view.setColumnWidth(column, width)
+        self._wrapping = QTimer(self)
+        self._wrapping.setSingleShot(True)
+        self._wrapping.setInterval(0)
+        self._wrapping.timeout.connect(self._wrap)
         self.summary = QLabel()
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -174,6 +189,8 @@ class FramesBox(QWidget):
         layout.addWidget(self.view, 1)
         self.table.tick_wanted.connect(self._on_tick)
         self.view.selectionModel().currentRowChanged.connect(self._on_row)
+        header.sectionResized.connect(self._wrap_soon)
+        self.sorted.layoutChanged.connect(self._wrap_soon)
         model = bench.model
         for signal in (model.sequence_changed, model.settings_changed, model.inspection_changed):
             listen(signal, self._refill)
@@ -189,7 +206,23 @@ class FramesBox(QWidget):
             self.summary.setText(f"{len(rows)} frames" if rows else "No frames.")
         else:
             self.summary.setText(f"{sum(map(bool, used))} of {len(rows)} frames used")
+        self._wrap()
         self._on_frame(self._bench.frames.frame)
+
+    def _wrap_soon(self, *_: object) -> None:
+        self._wrapping.start()
+
+    def _wrap(self) -> None:
+        """Give the reason of each frame that is not used all the room that it needs."""
+        self.view.clearSpans()
+        usual = self.view.verticalHeader().defaultSectionSize()
+        for k in range(self.sorted.rowCount()):
+            row = self.table.rows[self.sorted.mapToSource(self.sorted.index(k, NAME)).row()]
+            if is_told_whole(row):
+                self.view.setSpan(k, GRID, 1, len(COLUMNS) - GRID)
+                self.view.resizeRowToContents(k)
+            elif self.view.rowHeight(k) != usual:
+                self.view.setRowHeight(k, usual)
 
     def _on_tick(self, frame: int, wanted: bool) -> None:
         model, row = self._bench.model, self.table.rows[frame]

@@ -9,6 +9,7 @@ from qtpy.QtWidgets import QStyle, QStyledItemDelegate, QStyleOptionViewItem
 
 from napari_pv_inspect.review_model import ReviewModel
 from napari_pv_inspect.thumbnails import Thumbnails
+from pv_inspect.cracks import CellState
 from pv_inspect.cracks.wording import tooltip
 from pv_inspect.review import Cell, Verdict, VerdictKind
 
@@ -153,6 +154,9 @@ class TileDelegate(QStyledItemDelegate):
         self._paint_bar(painter, bar, cell, option)
         for k, verdict in enumerate(self._review.others(cell)[:5]):
             _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)
+        state = self._review.state_of(cell)
+        if state in _BADGES:
+            _paint_badge(painter, area.left() + 2, area.top() + 2, _BADGES[state])
         if self._review.is_disputed(cell):
             _paint_disputed(painter, QRect(area.left(), area.top(), room.width(), room.height()))
         if option.state & QStyle.StateFlag.State_Selected:
@@ -183,6 +187,8 @@ class TileDelegate(QStyledItemDelegate):
         painter.drawText(bar, Qt.AlignmentFlag.AlignCenter, text)
 
 
+# What a tile says of cells that are neither suspected nor clean, and on which colour.
+_BADGES = {CellState.UNDECIDABLE: ("?", "#E69F00"), CellState.DARK: ("dark", "#B0B8C0")}
 _SHORT = {VerdictKind.INACTIVE: "inactive", VerdictKind.FINGER: "finger"}
 
 
@@ -207,6 +213,22 @@ def ink_on(colour: QColor) -> QColor:
     """Black or white, whichever is read better on a colour."""
     light = 0.299 * colour.red() + 0.587 * colour.green() + 0.114 * colour.blue()
     return QColor("black" if light > 110 else "white")
+
+
+def _paint_badge(painter: QPainter, x: int, y: int, badge: tuple[str, str]) -> None:
+    """A word in the upper left corner, in a box that is seen on bright and on dark cells."""
+    text, colour = badge
+    font = painter.font()
+    font.setPixelSize(11)
+    font.setBold(True)
+    painter.setFont(font)
+    box = QRect(x, y, painter.fontMetrics().horizontalAdvance(text) + 8, 15)
+    painter.fillRect(box, QColor(colour))
+    painter.setPen(QColor("black"))
+    painter.drawRect(box)
+    painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
+    font.setBold(False)
+    painter.setFont(font)
 
 
 def _paint_other(painter: QPainter, x: int, y: int, verdict: Verdict) -> None:

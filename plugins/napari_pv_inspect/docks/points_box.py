@@ -108,9 +108,9 @@ class PointsBox(QGroupBox):
         text += f", {edited} edited" if edited else ""
         fit, held = bench.editor.calibration, bench.live.held_rms_px
         if held is not None:
-            text += f"; residual here {held:.2f} px"
+            text += f"; {held:.2f} px from the grid here"
         elif fit is not None and fit.used[frame]:
-            text += f"; residual {fit.rms_px[frame]:.2f} px"
+            text += f"; {fit.rms_px[frame]:.2f} px from the grid"
         elif fit is not None:
             text += f"; rejected: {fit.why[frame].rstrip('.')}"
         self.state.setText(f"{text}.")

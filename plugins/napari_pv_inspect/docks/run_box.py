@@ -7,6 +7,7 @@ from time import monotonic
 from qtpy.QtCore import Qt, Signal
 from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
+from napari_pv_inspect.appearance import WARNING_COLOUR
 from napari_pv_inspect.docks.hand import set_primary
 from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.model import RunState, WorkbenchModel
@@ -16,13 +17,13 @@ from pv_inspect.settings import Stage
 
 __all__ = ["RunBox"]
 
-WARNING_COLOUR = "#E69F00"
 RUN_ALL = "Run all"
 ALL_TIP = "Do everything from the grid to the crack map, in the background."
 RUN_TIP = (
     "While a run goes on: with changed settings the new run ends it and takes its place; after "
     "Detect it follows."
 )
+IN_DOUBT = "In doubt: do not rely on this result; the reason stands below."
 BEFORE = (Deed.CONFIRM, Deed.DETECT)
 """Steps beside which a run of everything is offered."""
 
@@ -66,13 +67,14 @@ class RunBox(QWidget):
         listen(model.sequence_changed, self._on_state)
         listen(model.run_changed, self._on_state)
         listen(model.inspection_changed, self._on_state)
+        listen(model.result_opened, self._on_state)
         listen(model.progress_changed, self._on_progress)
         listen(model.noticed, self._on_notice)
         self._on_state()
 
     def _on_state(self, _: object = None) -> None:
         model = self._model
-        self.message.setStyleSheet("")
+        self._colour("")
         idle = model.run_state is RunState.IDLE
         known = model.settings.rows is not None and model.settings.cols is not None
         running = model.run_state is RunState.RUNNING
@@ -91,6 +93,7 @@ class RunBox(QWidget):
         elif idle:
             self.progress.setValue(1000 if model.inspection is not None and not model.to_do else 0)
             self.message.setText(self._advice())
+            self._colour(WARNING_COLOUR if model.doubts or model.put_away else "")
 
     def _name_run(self) -> None:
         step, idle = next_step(self._model), self._model.run_state is RunState.IDLE
@@ -102,12 +105,16 @@ class RunBox(QWidget):
 
     def _advice(self) -> str:
         model = self._model
+        if model.put_away:
+            return model.put_away
         if model.sequence is None:
+            if model.result is not None:
+                return IN_DOUBT if model.doubts else model.frames_gone
             return "Open a folder of frames, a TIFF stack, or the sample."
         if model.settings.rows is None or model.settings.cols is None:
             return "How many rows and columns of cells does the module have?"
         if not model.to_do:
-            return "Up to date."
+            return IN_DOUBT if model.doubts else "Up to date."
         first = min(model.to_do - {Stage.LOAD}, key=_position)
         return f"Next run starts at: {first.value}."
 
@@ -117,8 +124,11 @@ class RunBox(QWidget):
             left = remaining_text(fraction, monotonic() - self._begun_s)
             self.message.setText(f"{message}, {left}" if left else message)
 
+    def _colour(self, colour: str) -> None:
+        self.message.setStyleSheet(f"color: {colour}" if colour else "")
+
     def _on_notice(self, text: str, is_error: bool) -> None:
-        self.message.setStyleSheet(f"color: {WARNING_COLOUR}" if is_error else "")
+        self._colour(WARNING_COLOUR if is_error else "")
         self.message.setText(text)
 
 

@@ -26,6 +26,7 @@ COLOURS = {
     Status.NEXT: "#56B4E9",
     Status.STALE: "#E69F00",
     Status.FAILED: "#D55E00",
+    Status.DOUBTED: "#D55E00",
     Status.WAITING: "#808890",
 }
 RADIUS = 7.0
@@ -119,12 +120,17 @@ _SIGNS: dict[Status, tuple[tuple[tuple[float, float], ...], ...]] = {
     Status.NEXT: (((-3.0, 0.0), (3.0, 0.0)), ((0.5, -2.5), (3.0, 0.0), (0.5, 2.5))),
     Status.STALE: (((0.0, -4.0), (0.0, 1.0)), ((0.0, 3.3), (0.0, 3.8))),
     Status.FAILED: (((-3.0, -3.0), (3.0, 3.0)), ((-3.0, 3.0), (3.0, -3.0))),
+    # A question mark.
+    Status.DOUBTED: (
+        ((-2.5, -2.0), (-1.5, -4.0), (1.5, -4.0), (2.5, -2.0), (0.0, 0.3), (0.0, 1.3)),
+        ((0.0, 3.6), (0.0, 4.1)),
+    ),
     Status.WAITING: (),
 }
 
 
 def _calls(status: Status) -> bool:
-    return status in (Status.NEXT, Status.WORKING, Status.STALE, Status.FAILED)
+    return status in (Status.NEXT, Status.WORKING, Status.STALE, Status.FAILED, Status.DOUBTED)
 
 
 class StepsBox(QWidget):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import Any
 
 from napari.components import ViewerModel
@@ -12,10 +13,13 @@ from napari_pv_inspect.appearance import FRAMES
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.sources import SEQUENCE_KEY, sequence_layer
+from pv_inspect.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.pipeline import Inspection
 from pv_inspect.sequence import Sequence
 
 __all__ = ["FramesLayer", "frame_caption"]
+
+CAPTION_LETTERS = 90
 
 
 class FramesLayer:
@@ -89,7 +93,8 @@ class FramesLayer:
         overlay = self._viewer.canvas.overlays.text
         text = ""
         if (sequence := self._model.sequence) is not None and self.frame < len(sequence):
-            text = frame_caption(sequence, self._model.shown, self.frame)
+            # The overlay does not wrap: what is too long would run out of the canvas.
+            text = fill(frame_caption(sequence, self._model.shown, self.frame), CAPTION_LETTERS)
         overlay.position = "top_left"
         overlay.font_size = 8
         overlay.text = text
@@ -108,6 +113,8 @@ def frame_caption(sequence: Sequence, inspection: Inspection | None, frame: int)
     if not fit.used[frame]:
         return f"{name}   rejected: {fit.why[frame]}"
     text = f"{name}   used   grid fits to {inspection.calibration.rms_px[frame]:.2f} px"
-    if inspection.registration is not None:
-        text += f"   residual {inspection.registration.rms[frame]:.2f} x noise"
+    if inspection.reconstruction is not None:
+        text += f"   {RESIDUAL} {inspection.reconstruction.residual_rms[frame]:.2f} x noise"
+    elif inspection.registration is not None:
+        text += f"   {REGISTRATION_RESIDUAL} {inspection.registration.rms[frame]:.2f} x noise"
     return text

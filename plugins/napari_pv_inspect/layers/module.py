@@ -18,6 +18,7 @@ from pv_inspect.layout import HrGrid
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result
 from pv_inspect.sequence import Sequence
+from pv_inspect.settings import Settings
 
 __all__ = ["ModuleLayers"]
 
@@ -77,6 +78,7 @@ class ModuleLayers:
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
         model.result_opened.connect(self._on_result)
+        model.settings_changed.connect(self._on_settings)
 
     def preview(self, image: NDArray[np.float32]) -> None:
         """Show an intermediate image in place of the module image."""
@@ -106,6 +108,11 @@ class ModuleLayers:
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
             return
+        if self._model.put_away:
+            if self.grid is not None:
+                self._clear()
+                self._viewer.reset_view()
+            return
         if (made := inspection.reconstruction) is None:
             if self.grid is not None and self.grid.layout != inspection.layout:
                 # The image of other rows and columns is none of this module.
@@ -125,6 +132,11 @@ class ModuleLayers:
         if cracks is not None and cracks is not self.cracks:
             self.put_cracks(cracks)
             self._know_cracks(cracks)
+
+    def _on_settings(self, _: Settings) -> None:
+        # An image that was put away comes back with its rows and columns.
+        if self._model.put_away or self.grid is None:
+            self._on_inspection(self._model.shown)
 
     def bring_back(self) -> None:
         """Show the layers again that the user deleted."""
