@@ -211,10 +211,13 @@ def test_after_a_failed_run_with_other_rows_the_old_result_is_put_away(
     assert state.subject is None
     assert "put away" in cells.view.message
     assert "Module image" not in viewer.layers
+    assert "Fitted grid" not in viewer.layers
+    assert "grid fits" not in viewer.canvas.overlays.text.text
     assert not dock.result.save.isEnabled()
     model.change_settings(rows=3)
     assert state.subject is not None
-    assert "Module image" in viewer.layers
+    assert {"Module image", "Fitted grid"} <= {layer.name for layer in viewer.layers}
+    assert "grid fits" in viewer.canvas.overlays.text.text
     assert "clean" in shown_words(dock)
     assert dock.result.save.isEnabled()
     assert "Earlier" not in shown_words(dock)

@@ -33,6 +33,7 @@ class FramesLayer:
         self._slot = LayerSlot(viewer, Image)
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
+        model.settings_changed.connect(self._on_inspection)
         viewer.dims.events.current_step.connect(self._on_step)
 
     def adopt(self, layer: Layer) -> bool:
@@ -81,7 +82,7 @@ class FramesLayer:
             self._viewer.add_layer(layer)
         self._caption()
 
-    def _on_inspection(self, _: Inspection | None) -> None:
+    def _on_inspection(self, _: object) -> None:
         self._caption()
 
     def _on_step(self, _: Any = None) -> None:
@@ -94,7 +95,8 @@ class FramesLayer:
         text = ""
         if (sequence := self._model.sequence) is not None and self.frame < len(sequence):
             # The overlay does not wrap: what is too long would run out of the canvas.
-            text = fill(frame_caption(sequence, self._model.shown, self.frame), CAPTION_LETTERS)
+            shown = None if self._model.put_away else self._model.shown
+            text = fill(frame_caption(sequence, shown, self.frame), CAPTION_LETTERS)
         overlay.position = "top_left"
         overlay.font_size = 8
         overlay.text = text

@@ -25,6 +25,7 @@ class GeometryLayers:
         self._geometry: object = None
         self._grid: list[NDArray[np.float64]] = []
         self._bent: dict[int, NDArray[np.float64]] = {}
+        self._is_away = False
         self._grid_slot = LayerSlot(
             viewer,
             Vectors,
@@ -37,6 +38,7 @@ class GeometryLayers:
         )
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
+        model.settings_changed.connect(self._put_away_or_back)
 
     def bend(self, frame: int, segments: NDArray[np.float64]) -> None:
         """Show other grid lines in one frame, in place of the fitted ones, until `straighten`."""
@@ -72,8 +74,18 @@ class GeometryLayers:
             self._geometry, self._bent = geometry, {}
             self._grid = grid_of_frames(inspection)
             self._draw_grid()
+        self._put_away_or_back()
+
+    def _put_away_or_back(self, _: object = None) -> None:
+        """Hide the grid of other rows and columns after a run with the new ones has failed."""
+        if self._is_away is not bool(self._model.put_away):
+            self._is_away = not self._is_away
+            self._draw_grid()
 
     def _draw_grid(self) -> None:
+        if self._is_away:
+            self._grid_slot.drop()
+            return
         frames = [self._bent.get(i, segments) for i, segments in enumerate(self._grid)]
         segments = np.concatenate(frames) if frames else np.empty((0, 2, 3))
         if len(segments):
