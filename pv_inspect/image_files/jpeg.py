@@ -21,7 +21,7 @@ _STAND_ALONE = {0x01, *range(0xD0, 0xD9)}
 _START_OF_SCAN = 0xDA
 _SCAN = b"\xff\xda"
 # Progressive pictures have about 10; each goes through the whole picture.
-_MOST_SCANS = 100
+_MOST_SCANS = 40
 _FRAME_HEADERS = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 _LOSSLESS = {0xC3, 0xC7, 0xCB, 0xCF}
 # jerror.h of libjpeg: what its decoder says of damaged data, and of what does no harm.

@@ -36,9 +36,9 @@ _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS = 322, 323, 324, 325
 _DESCRIPTION, _ASCII, _LONGEST_DESCRIPTION = 270, 2, 2**20
 _SAMPLE_FORMAT, _JPEG_TABLES, _DEPTH, _TILE_DEPTH = 339, 347, 32997, 32998
 _KIND = {1: "uint", 2: "int", 3: "float", 4: "uint", 5: "complex int", 6: "complex"}
-_MOST_ENTRIES = 4096
-# A strip for every row, or tiles of 16 x 16 px at the largest size that is read.
-_MOST_SEGMENTS = 2**18
+_MOST_ENTRIES = 512
+# A strip for every row, or tiles of 32 x 32 px at the largest size that is read.
+_MOST_SEGMENTS = 2**16
 
 
 @dataclass(frozen=True)
