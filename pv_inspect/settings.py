@@ -46,6 +46,7 @@ def _tunable(default: Any, stage: Stage, unit: str, description: str, **limits: 
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Pixel = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 
 
 class Settings(BaseModel):
@@ -81,7 +82,7 @@ class Settings(BaseModel):
         ge=0.1,
         le=10,
     )
-    module_at: tuple[Finite, Finite] | None = _tunable(
+    module_at: tuple[Pixel, Pixel] | None = _tunable(
         None,
         Stage.DETECT,
         "LR px",

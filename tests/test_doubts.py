@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from pv_inspect.cracks import CellFeatures, CrackMap
-from pv_inspect.doubts import CONTRADICTION, doubts_of, warnings_of
+from pv_inspect.doubts import CONTRADICTION, OVER_FIT, doubts_of, warnings_of
+from pv_inspect.summary import summary
 from tests.handmade import made_inspection, made_reconstruction
 
 
@@ -48,3 +51,41 @@ def test_frames_that_are_left_out_are_warned_about_with_their_reason() -> None:
     warnings = warnings_of(made_inspection(layout_guessed=True))
     assert any("guessed" in text for text in warnings)
     assert any("frame_1" in text and "found</b>" in text for text in warnings)
+
+
+@pytest.mark.parametrize(("residual", "warned"), [(OVER_FIT - 0.1, True), (OVER_FIT, False)])
+def test_frames_that_agree_better_than_their_noise_allows_are_warned_about(
+    residual: float, warned: bool
+) -> None:
+    reconstruction = replace(made_reconstruction(), residual_rms=(residual, float("nan"), residual))
+    warnings = warnings_of(made_inspection(reconstruction=reconstruction))
+    assert any("better than their noise allows (residual 0.40" in w for w in warnings) is warned
+
+
+def test_a_single_frame_is_not_said_to_agree_with_others() -> None:
+    made = made_inspection(
+        reconstruction=replace(
+            made_reconstruction(), residual_rms=(0.3, float("nan"), float("nan"))
+        )
+    )
+    assert made.registration is not None
+    alone = replace(made.registration, used=np.array([True, False, False]))
+    warnings = warnings_of(replace(made, registration=alone))
+    assert any("follows the only frame down to 0.30 times its noise" in text for text in warnings)
+    assert not any("agree" in text for text in warnings)
+
+
+def test_a_reconstruction_that_ended_too_early_is_warned_about() -> None:
+    early = replace(made_reconstruction(), converged=False)
+    warnings = warnings_of(made_inspection(reconstruction=early))
+    assert any("had not converged after 12 steps" in text for text in warnings)
+    assert not any("converged" in text for text in warnings_of(made_inspection()))
+
+
+def test_copies_are_told_in_one_sentence_not_frame_by_frame() -> None:
+    made = made_inspection()
+    sequence: Any = replace(made.sequence, copies={1: 0})  # type: ignore[type-var]
+    warnings = warnings_of(replace(made, sequence=sequence))
+    assert sum("counted once" in text for text in warnings) == 1
+    assert not any("is not used" in text for text in warnings)
+    assert "not used" not in summary(replace(made, sequence=sequence), Path("out"), 1.0)
