@@ -22,7 +22,7 @@ __all__ = ["FrameGroups", "Placement", "group_frames"]
 
 Array = NDArray[np.float64]
 
-SAME_MODULE = 0.5
+SAME_MODULE = 0.6
 """Agreement from which on frames show one module whatever its error."""
 SIMILAR = 0.3
 """Agreement up to which they show different ones, if it is known well: modules of one make may have
@@ -32,8 +32,10 @@ BY_CHANCE = 4.5
 EXPECTED = 0.8
 """Least agreement of frames of one module; what is missing to 1 are errors of pose and noise."""
 SURE = 3.5
-"""Standard errors by which an agreement must lie under the expected one to tell modules apart: one
-pair in 4000 of one module does, if the errors are Gaussian."""
+"""Standard errors by noise by which an agreement must lie under the expected one to tell modules
+apart: one pair in 4000 of one module does, if the errors are Gaussian."""
+COARSE = 0.25
+"""Standard error by chance from which on even frames of one module would not stand out."""
 SURE_TURN = 5.0
 """Standard errors above 0 at which a frame is turned against what the detection says."""
 COMPARED_GROUPS, COMPARED_FRAMES = 2, 3
@@ -196,21 +198,27 @@ class _Clusters:
             self._merge(*best)
         self._take_in_the_rest()
 
-    def _compared(self) -> tuple[Array, Array]:
-        """Agreement and its standard error by chance, (n_turns, n, n); NaN if unknown."""
+    def _compared(self) -> tuple[Array, Array, Array]:
+        """Return agreements with their errors, (n_turns, n, n); NaN where nothing is known.
+
+        Standard errors first by chance, for different modules, then by noise, for one module.
+        """
         known = self._weight > 0
         known &= self._alive[:, None] & self._alive[None, :] & ~np.eye(len(self._alive), dtype=bool)
         weight = np.where(known, self._weight, np.nan)
         noisy = np.outer(1.0 + self._noise, 1.0 + self._noise)
-        return self._sum / weight, np.sqrt(self._variance / weight * noisy) + 1e-9
+        variance = self._variance / weight
+        by_chance = np.sqrt(variance * noisy) + 1e-9
+        return self._sum / weight, by_chance, np.sqrt(variance * (noisy - 1.0))
 
     def _best(self) -> tuple[int, int, int] | None:
         """Return (turn, first, second) of the clusters to merge next."""
-        agreement, error = self._compared()
+        agreement, error, noise = self._compared()
         with np.errstate(invalid="ignore"):
             sure = agreement / error
             enough = np.clip(BY_CHANCE * error, SIMILAR, SAME_MODULE)
-            same = agreement >= np.minimum(enough, EXPECTED - SURE * error)
+            same = agreement >= np.minimum(enough, EXPECTED - SURE * noise)
+            same |= error > COARSE
             same[1:] &= (agreement[1:] >= SAME_MODULE) & (sure[1:] > SURE_TURN)
         candidates = np.where(same, sure, -np.inf)
         turn, a, b = np.unravel_index(int(np.argmax(candidates)), candidates.shape)
@@ -244,7 +252,7 @@ class _Clusters:
         """Name the clusters by the numbers of the frames."""
         alive = [int(k) for k in np.flatnonzero(self._alive)]
         order = sorted(alive, key=lambda k: (-len(self._members[k]), min(self._members[k])))
-        between, _ = self._compared()
+        between, _, _ = self._compared()
         count = len(self._turns)
         placements: dict[int, Placement] = {}
         for k in order:
