@@ -14,6 +14,7 @@ from pydantic.config import JsonDict
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
+from pv_inspect.records import read_text
 
 __all__ = ["Settings", "Stage"]
 
@@ -270,26 +271,20 @@ class Settings(BaseModel):
             If the file can't be read, is no TOML, or holds a wrong name or value.
         """
         try:
-            with path.open("rb") as file:
-                content = file.read(_LARGEST_FILE_BYTES + 1)
+            text = read_text(path, _LARGEST_FILE_BYTES)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise InspectionError(
                 f"{path} can't be read ({reason}): give an existing settings file."
             ) from None
-        if len(content) > _LARGEST_FILE_BYTES:
-            raise InspectionError(
-                f"{path} is larger than {_LARGEST_FILE_BYTES // 2**20} MiB, which no file of "
-                "settings is: give a TOML file of settings."
-            )
         try:
-            values = tomllib.loads(content.decode("utf-8-sig"))
+            values = tomllib.loads(text)
         except RecursionError:
             raise InspectionError(
                 f"{path} is nested too deep, but settings are plain lines like rows = 6: give a "
                 "TOML file of settings."
             ) from None
-        except ValueError as error:  # also from numbers that are too long, and from the encoding
+        except ValueError as error:  # also from numbers that are too long
             raise InspectionError(
                 f"{path} is not valid TOML ({error}): correct that line."
             ) from None

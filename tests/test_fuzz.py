@@ -29,9 +29,7 @@ def reader() -> Iterator[Reader]:
 
 
 # Their readers are being mended.
-_LATER = {"frames, TIFF", "frames, PNG", "plain cells", "module.json", "dark and flat frames"}
-_LATER |= {"links, pipes, devices"}
-_LATER |= {"calibration", "crack model", "command line"}
+_LATER = {"links, pipes, devices", "calibration", "crack model", "command line"}
 
 
 @pytest.mark.parametrize(
