@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,7 @@ import typer
 from pv_inspect.course import Course
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.folders import replace_file
+from pv_inspect.output_paths import output_folder
 from pv_inspect.reservations import reserved_files
 from pv_inspect.settings import Settings
 
@@ -79,7 +81,8 @@ def cracks_of(
     )
 
     files = image_files(images)
-    if any(path.parent.resolve() == out.resolve() for path in files):
+    place = output_folder(out)
+    if any(Path(os.path.realpath(path.parent)) == place for path in files):
         raise InspectionError(
             f"{out} holds the images themselves, which the maps could replace: give another "
             "folder with --out."
@@ -92,7 +95,7 @@ def cracks_of(
     detector = NetworkDetector(model) if model is not None else detector_of(settings)
     cells: list[PlainCell] = []
     refused = 0
-    place = course.hold(reserved_files(out))
+    course.hold(reserved_files(place))
     course.so_far = lambda: (
         f"the maps of {len(cells)} of {len(files)} images are in {out}, without a table"
         if cells

@@ -20,7 +20,7 @@ from pv_inspect import cli, cli_gui, folders, pipeline
 from pv_inspect.pipeline import Step
 from pv_inspect.results import read_result
 from pv_inspect.settings import Settings, Stage
-from pv_inspect.simulate import SimulationSettings
+from pv_inspect.simulate import SimulationSettings, reserve_sequence
 from tests.handmade import made_inspection
 
 
@@ -254,6 +254,17 @@ def test_simulate_writes_frames_and_truth(tmp_path: Path) -> None:
     assert truth["noise"]["shot_noise"] is False
     image = cv2.imread(str(tmp_path / "sim" / "frames" / "frame_000.tif"), cv2.IMREAD_UNCHANGED)
     assert image.shape == (80, 96)
+
+
+def test_a_simulation_into_a_folder_that_is_taken_is_refused_before_it_begins(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("mine")
+    refused(called("simulate", tmp_path / "full"), "is not an empty folder")
+    with reserve_sequence(tmp_path / "sim"):
+        refused(called("simulate", tmp_path / "sim"), "Another pv-inspect .* is writing to")
+    assert [path.name for path in tmp_path.iterdir()] == ["full"]
 
 
 def test_simulate_lists_all_its_numbers(tmp_path: Path) -> None:

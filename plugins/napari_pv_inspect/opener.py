@@ -16,6 +16,7 @@ from napari_pv_inspect import reader
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.sources import open_sequence
 from pv_inspect.errors import InspectionError
+from pv_inspect.folders import read_steadily
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results import Result, read_result
 from pv_inspect.resume import reopen, resume
@@ -59,7 +60,8 @@ class Opened:
 def open_any(path: Any, settings: Settings) -> Opened:
     """Open a result folder or a sequence."""
     if isinstance(path, (str, Path)) and reader.get_reader(path) is reader.read_result:
-        return open_result(read_result(Path(path)))
+        # Also what is read after the result itself belongs to it.
+        return read_steadily(Path(path), lambda: open_result(read_result(Path(path))))
     references = (settings.dark_frame, settings.flat_frame)
     return Opened(open_sequence(path, *references, settings.read_limits), references=references)
 

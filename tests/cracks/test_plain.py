@@ -4,6 +4,7 @@ import csv
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,8 +13,10 @@ import tifffile
 from typer.testing import CliRunner, Result
 
 from pv_inspect import cli
+from pv_inspect.cracks import plain
 from pv_inspect.cracks.plain import image_files, read_cell
 from pv_inspect.errors import InspectionError
+from pv_inspect.reservations import reserved_files
 from tests.cracks.test_network import cell
 
 
@@ -147,3 +150,43 @@ def test_the_ridge_detector_needs_no_model(images: Path, tmp_path: Path) -> None
     result = called(images / "cracked.png", "--out", tmp_path / "out", "--detector", "ridge")
     assert result.exit_code == 0, result.output
     assert "ridge filters" in result.stdout
+
+
+def test_an_interrupt_says_how_many_maps_are_there(
+    images: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, count = plain.read_plain_cell, 0
+
+    def second_is_cut(*given: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count == 2:
+            raise KeyboardInterrupt
+        return real(*given)
+
+    monkeypatch.setattr(plain, "read_plain_cell", second_is_cut)
+    result = called(images, "--out", tmp_path / "out")
+    assert result.exit_code == 130
+    said = f"Interrupted; the maps of 1 of 4 images are in {tmp_path / 'out'}, without a table.\n"
+    assert result.stderr == f"pv-inspect: {said}"
+    assert len(list((tmp_path / "out").iterdir())) == 1  # no lock, nothing half-written
+
+
+def test_two_commands_do_not_write_into_one_folder(images: Path, tmp_path: Path) -> None:
+    with reserved_files(tmp_path / "out"):
+        result = called(images, "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert f"Another pv-inspect (process {os.getpid()}" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "said"), [("/", "is the root of the file system"), ("loop", "leads back to itself")]
+)
+def test_a_place_where_no_maps_can_be_is_one_sentence(
+    images: Path, tmp_path: Path, out: str, said: str
+) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    result = called(images, "--out", tmp_path / out)
+    assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
+    assert said in result.stderr
