@@ -18,10 +18,10 @@ CONTRADICTION = 2.5
 Seven photographs of different modules gave 6 to 8, simulated sequences 0.8 to 1."""
 
 
-OVER_FIT = 0.5
+OVER_FIT = 0.4
 """Median residual of the frames, in units of their noise, below which a user is warned.
 
-Simulated sequences of 2 to 20 frames, of 8 and 12 bit and with usual and low noise, gave 0.65 to
+Simulated sequences of 2 to 20 frames, of 8 and 12 bit and with usual and low noise, gave 0.52 to
 0.92; single frames, which nothing keeps from following their noise, 0.15 to 0.33; a given PSF that
 is far too narrow 0 to 0.2."""
 

@@ -59,7 +59,7 @@ def test_frames_that_agree_better_than_their_noise_allows_are_warned_about(
 ) -> None:
     reconstruction = replace(made_reconstruction(), residual_rms=(residual, float("nan"), residual))
     warnings = warnings_of(made_inspection(reconstruction=reconstruction))
-    assert any("better than their noise allows (residual 0.40" in w for w in warnings) is warned
+    assert any("better than their noise allows (residual 0.30" in w for w in warnings) is warned
 
 
 def test_a_single_frame_is_not_said_to_agree_with_others() -> None:
