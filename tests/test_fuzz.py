@@ -28,13 +28,7 @@ def reader() -> Iterator[Reader]:
         yield started
 
 
-# Their readers are being mended.
-_LATER = {"links, pipes, devices", "calibration", "crack model", "command line"}
-
-
-@pytest.mark.parametrize(
-    ("kind", "n_cases"), [(k, n) for k, n in shares_of(N_CASES).items() if k not in _LATER]
-)
+@pytest.mark.parametrize(("kind", "n_cases"), shares_of(N_CASES).items())
 def test_any_input_is_accepted_or_refused_in_one_sentence(
     reader: Reader, kind: str, n_cases: int
 ) -> None:

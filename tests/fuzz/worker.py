@@ -67,13 +67,13 @@ def main() -> None:
 def _measured(read: Read, place: Path, case: Case, output: int) -> Outcome:
     _forget_peak()
     before = _peak_mib()
-    begun = process_time()
-    _limit_cpu(begun + KILLED_AFTER_S)
+    begun = _cpu_s()
+    _limit_cpu(process_time() + KILLED_AFTER_S)
     try:
         outcome = _tried(read, place, case.args)
     finally:
         _limit_cpu(None)
-    cpu_s, grown = process_time() - begun, _peak_mib() - before
+    cpu_s, grown = _cpu_s() - begun, _peak_mib() - before
     sys.stdout.flush()
     sys.stderr.flush()
     printed = os.pread(output, 2000, 0)
@@ -104,6 +104,12 @@ def _tried(read: Read, place: Path, args: tuple[str, ...]) -> Outcome:
         text = " ".join(str(error).split())[:300]
         return Outcome("", f"{type(error).__name__}: {text}", where=" > ".join(own[-4:]))
     return Outcome()
+
+
+def _cpu_s() -> float:
+    """Processor time of this process and of those that it has started and that have ended."""
+    used = os.times()
+    return process_time() + used.children_user + used.children_system
 
 
 def _limit_cpu(at_s: float | None) -> None:
