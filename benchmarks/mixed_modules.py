@@ -56,15 +56,17 @@ NOISE = ((20.0, 25000.0), (60.0, 20000.0), (250.0, 12000.0))
 """Read noise and full well, electrons: clean, usual, strong."""
 
 
+MIRRORED, UPSIDE_DOWN = -1, -2
+"""Instead of a module's number: the first module as another one, and as itself."""
+
+
 @dataclass(frozen=True)
 class Case:
-    """What a sequence shows; negative modules are mirrored, half numbers upside down."""
+    """What a sequence shows, frame by frame: the number of a module or one of the above."""
 
     name: str
     settings: SimulationSettings
     shown: tuple[int, ...]
-    same: tuple[int, ...]
-    """Which module every scene is, for the judgement."""
 
 
 def main() -> None:
@@ -125,13 +127,13 @@ def _mixture(seed: int, number: int) -> Case:
     settings = _drawn(rng, seed, pure=False)
     special = number % 10
     if special == 0:
-        return Case("4 + 4 in turn", settings, (0, 1) * 4, (0, 1))
+        return Case("4 + 4 in turn", settings, (0, 1) * 4)
     if special == 1:
-        return Case("half mirrored", settings, (0, -1) * 5, (0, 1))
+        return Case("half mirrored", settings, (0, MIRRORED) * 5)
     if special == 2:
-        return Case("3 of 12 mirrored", settings, (0, 0, 0, -1) * 3, (0, 1))
+        return Case("3 of 12 mirrored", settings, (0, 0, 0, MIRRORED) * 3)
     if special == 3:
-        return Case("one frame each", settings, tuple(range(5)), tuple(range(5)))
+        return Case("one frame each", settings, tuple(range(5)))
     modules, n = int(rng.integers(2, 6)), int(rng.integers(8, 25))
     if special % 2:
         # One module in more than half of the frames.
@@ -145,7 +147,7 @@ def _mixture(seed: int, number: int) -> Case:
     elif order == "random":
         shown = [shown[k] for k in rng.permutation(n)]
     name = f"{modules} modules {order}, {'most' if special % 2 else 'even'}"
-    return Case(name, settings, tuple(shown), tuple(range(modules)))
+    return Case(name, settings, tuple(shown))
 
 
 def _pure(seed: int, number: int) -> Case:
@@ -154,14 +156,14 @@ def _pure(seed: int, number: int) -> Case:
     n = int(rng.integers(2, 21))
     special = number % 5
     if special == 0:
-        return Case("some upside down", settings, (0, 0, -2) * 4, (0, 0))
+        return Case("some upside down", settings, (0, 0, UPSIDE_DOWN) * 4)
     if special == 1:
         # Some of the frames run over the border.
         values = {**vars(settings), "fill": 0.97, "jitter_px": 8.0, "tilt_deg": 5.0}
-        return Case("partly out of view", SimulationSettings(**values), (0,) * 12, (0,))
+        return Case("partly out of view", SimulationSettings(**values), (0,) * 12)
     if number == 2:
-        return Case("a single frame", settings, (0,), (0,))
-    return Case("pure", settings, (0,) * n, (0,))
+        return Case("a single frame", settings, (0,))
+    return Case("pure", settings, (0,) * n)
 
 
 def _report(case: Case, no_register: bool) -> Counter[str]:
@@ -169,12 +171,12 @@ def _report(case: Case, no_register: bool) -> Counter[str]:
     plain = modules_of_one_make(settings, max(k for k in case.shown if k >= 0) + 1)
     scenes = [*plain]
     shown = list(case.shown)
-    for variant, make in ((-1, mirrored), (-2, upside_down)):
+    for variant, make in ((MIRRORED, mirrored), (UPSIDE_DOWN, upside_down)):
         if variant in shown:
             shown = [len(scenes) if k == variant else k for k in shown]
             scenes.append(make(plain[0]))
     simulation = simulate_mixture(settings, scenes, shown)
-    truth = np.array([case.same[k] for k in shown])
+    truth = np.array([0 if k == UPSIDE_DOWN else k for k in case.shown])
     with tempfile.TemporaryDirectory() as folder:
         for i, frame in enumerate(simulation.frames):
             tifffile.imwrite(Path(folder) / f"frame_{i:03d}.tif", frame)

@@ -18,8 +18,9 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.frame_agreement import _Clusters, group_frames
 from pv_inspect.module_choice import choose_module
 from pv_inspect.outline import Pose
+from pv_inspect.pipeline import inspect
 from pv_inspect.sequence import Sequence
-from pv_inspect.settings import Settings
+from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import (
     Scene,
     SimulatedMixture,
@@ -261,3 +262,15 @@ def test_a_single_frame_needs_no_comparison(tmp_path: Path, modules: tuple[Scene
     choice = choose_module(sequence, calibration, Settings())
     assert choice.why == ("",)
     assert choice.of_calibration(calibration) is calibration
+
+
+@pytest.mark.parametrize("model", ["camera", "homography"])
+def test_a_run_on_two_modules_ends_before_anything_is_fused(
+    tmp_path: Path, modules: tuple[Scene, ...], model: str
+) -> None:
+    sequence, _ = _opened(tmp_path, modules, (0, 1, 0, 1))
+    settings = Settings(rows=4, cols=6, registration_model=model)
+    seen: list[Stage] = []
+    with pytest.raises(InspectionError, match="These 4 frames look like 2 modules"):
+        seen.extend(step.stage for step in inspect(sequence, settings))
+    assert seen[-1] is Stage.CALIBRATE
