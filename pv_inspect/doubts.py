@@ -10,7 +10,7 @@ from pv_inspect.frame_copies import copies_sentence
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection
 
-__all__ = ["CONTRADICTION", "doubts_of", "warnings_of"]
+__all__ = ["CONTRADICTION", "doubts_of", "left_out", "warnings_of"]
 
 CONTRADICTION = 2.5
 """Median residual of the frames, in units of their noise, from which on a result is in doubt.
@@ -78,14 +78,30 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
             "be noticed."
         )
     found += [sentence for sentence in (_over_fit(inspection), _unfinished(inspection)) if sentence]
-    found += [
+    return (*found, *left_out(inspection))
+
+
+def left_out(inspection: Inspection) -> tuple[str, ...]:
+    """Say of every frame that is not used why; one warning tells of all copies instead.
+
+    Parameters
+    ----------
+    inspection : Inspection
+        Registered.
+
+    Returns
+    -------
+    tuple of str
+        One sentence each.
+    """
+    registration, sequence = inspection.registration, inspection.sequence
+    assert registration is not None
+    frames = zip(sequence.names, registration.used, registration.why, strict=True)
+    return tuple(
         f"{name} is not used: {(why or 'not used').rstrip('.')}."
-        for k, (name, ok, why) in enumerate(
-            zip(names, registration.used, registration.why, strict=True)
-        )
-        if not ok and k not in copies
-    ]
-    return tuple(found)
+        for k, (name, ok, why) in enumerate(frames)
+        if not ok and k not in sequence.copies
+    )
 
 
 def _contradiction(inspection: Inspection) -> str:

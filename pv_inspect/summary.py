@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pv_inspect.doubts import left_out
 from pv_inspect.errors import printable
 from pv_inspect.figures import RESIDUAL_MEANING, median_text
 
@@ -43,6 +44,7 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
         )
         if not ok and k not in inspection.sequence.copies  # one warning tells of all copies
     ]
+    told_as_frame = left_out(inspection)
     height, width = reconstruction.image.shape
     lines = [
         *(f"IN DOUBT  {text}" for text in inspection.doubts),
@@ -51,7 +53,7 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
         *rejected,
         f"residual  {median_text(reconstruction.residual_rms)} ({RESIDUAL_MEANING})",
         f"module    {width} x {height} px, {reconstruction.grid.magnification:.2f}x",
-        *(f"warning   {text}" for text in inspection.warnings if "is not used" not in text),
+        *(f"warning   {text}" for text in inspection.warnings if text not in told_as_frame),
         f"results   {out}",
         f"report    {out / 'report.html'}",
         f"time      {seconds:.1f} s",
