@@ -28,7 +28,7 @@ class ResultBox(QWidget):
         self.doubts = Told(DOUBT_COLOUR)
         self.summary = QLabel()
         self.summary.setWordWrap(True)
-        self.warnings = Told(WARNING_COLOUR)
+        self.warnings = Told(WARNING_COLOUR, most_lines=6)
         self.save = QPushButton("Save result...")
         self.save.setToolTip("Write module image, cells, crack map and report into a folder.")
         row = QHBoxLayout()

@@ -8,14 +8,20 @@ from qtpy.QtWidgets import QFrame, QLabel, QScrollArea, QSizePolicy, QWidget
 
 __all__ = ["Told"]
 
-MOST_LINES = 12
-
 
 class Told(QScrollArea):
-    """Some plain sentences, one below the other; hidden while there are none."""
+    """Some plain sentences, one below the other; hidden while there are none.
 
-    def __init__(self, colour: str, parent: QWidget | None = None) -> None:
+    Parameters
+    ----------
+    colour : str
+    most_lines : int
+        What is longer scrolls.
+    """
+
+    def __init__(self, colour: str, most_lines: int = 12, parent: QWidget | None = None) -> None:
         super().__init__(parent)
+        self._most_lines = most_lines
         self.label = QLabel()
         self.label.setWordWrap(True)
         self.label.setTextFormat(Qt.TextFormat.PlainText)
@@ -54,7 +60,7 @@ class Told(QScrollArea):
         line = self.label.fontMetrics().lineSpacing()
         # The style of napari pads labels by some pixels that Qt does not count.
         needed = self.label.heightForWidth(max(self.width(), 40)) + line // 2
-        most = MOST_LINES * line
+        most = self._most_lines * line
         bar = Qt.ScrollBarPolicy
         self.setVerticalScrollBarPolicy(
             bar.ScrollBarAlwaysOn if needed > most else bar.ScrollBarAlwaysOff
