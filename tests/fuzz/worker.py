@@ -15,6 +15,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import process_time
@@ -41,7 +42,8 @@ def main() -> None:
 
     for kind in (RuntimeWarning, UserWarning, ResourceWarning):
         warnings.simplefilter("always", kind)
-    resource.setrlimit(resource.RLIMIT_AS, (_MOST_ADDRESSES, resource.RLIM_INFINITY))
+    with suppress(ValueError, OSError):  # not every system limits it
+        resource.setrlimit(resource.RLIMIT_AS, (_MOST_ADDRESSES, resource.RLIM_INFINITY))
     warm: set[str] = set()
     while True:
         try:
