@@ -1,11 +1,13 @@
 """What becomes of a result folder when two processes write it, are killed, or the disk is full.
 
     python benchmarks/result_faults.py [--pairs 100] [--kills 30] [--runs 4] [--seed 1]
+                                       [--result FOLDER]
 
 Each trial begins with an earlier result. Afterwards the folder has to hold one whole result
 (`read_result` reads it, all of it says the same), the exit codes have to be true, and the next run
 has to leave nothing beside it. Processes are forked from one that has a finished inspection in
-memory; "run" starts true `pv-inspect run` commands on a small simulated sequence. The rows of the
+memory, made now or read from FOLDER. The rows of runs start true `pv-inspect run` commands on a
+small simulated sequence. The rows of the
 full disk need the right to mount a tmpfs. Linux and macOS only.
 """
 
@@ -289,6 +291,7 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--runs", type=int, default=4)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--result", type=Path, help="a result whose frames are still there")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     settings = SimulationSettings(
@@ -297,10 +300,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         frames = folder / "frames of a module"
-        write_sequence(simulated(settings), frames)
         (folder / "made").mkdir()
-        command(frames, folder / "made" / "out", 0.5).wait()
-        result = read_result(folder / "made" / "out")
+        if options.runs or options.result is None:
+            write_sequence(simulated(settings), frames)
+        if options.result is None:
+            command(frames, folder / "made" / "out", 0.5).wait()
+        result = read_result(options.result or folder / "made" / "out")
         inspection = resume(result, reopen(result))
         begun = time.perf_counter()
         for _ in range(3):
@@ -321,7 +326,7 @@ def main() -> None:
         aimed_kills(row("killed between two renames"), options.kills, rng, exchanged=False)
         random_kills(row("killed at a random moment of writing"), options.pairs, rng, seconds)
         full_disks(row("disk full after 0 to 97 % of it, and not"), folder)
-        for kill in (False, True):
+        for kill in (False, True) if options.runs else ():
             place = folder / f"runs-{kill}"
             place.mkdir()
             run_pairs(frames, place, options.runs, rng, kill)

@@ -8,11 +8,13 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from threading import Event, Thread
 
+import numpy as np
 import pytest
 
 from pv_inspect import folders, locks
@@ -185,6 +187,49 @@ def test_who_saves_once_waits_for_another_one_who_does(out: Path) -> None:
     fill(out, "last")
     first.join()
     assert whole(out) == "last"
+
+
+def begun(out: Path, text: str) -> subprocess.Popen[str]:
+    """Start a process that fills the folder and ends with 0, or 1 if it is refused."""
+    code = (
+        "import sys; from pathlib import Path; from tests.small_folder import fill\n"
+        "fill(Path(sys.argv[1]), sys.argv[2])"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code, str(out), text],
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=Path.cwd(),
+    )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pairs_of_processes_leave_one_whole_folder_and_true_exit_codes(
+    out: Path, seed: int
+) -> None:
+    """A share of benchmarks/result_faults.py."""
+    offset_s = np.random.default_rng(seed).uniform(0, 0.2)
+    first = begun(out, "A")
+    time.sleep(offset_s)
+    second = begun(out, "B")
+    codes = {"A": first.wait(), "B": second.wait()}
+    assert set(codes.values()) <= {0, 1}
+    assert codes[whole(out)] == 0
+    assert names_in(out.parent) == {"out"}
+    assert (out / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs SIGKILL")
+@pytest.mark.parametrize("seed", range(4))
+def test_a_process_killed_at_any_moment_leaves_one_whole_folder(out: Path, seed: int) -> None:
+    """A share of benchmarks/result_faults.py."""
+    process = begun(out, "A")
+    time.sleep(np.random.default_rng(seed).uniform(0, 0.3))
+    process.kill()
+    assert whole(recovered(out)) in (("A",) if process.wait() == 0 else ("old", "A"))
+    fill(out, "next")
+    assert names_in(out.parent) == {"out"}
+    assert names_in(out) == {*NAMES, "mine.txt"}
 
 
 def owner(path: Path, **changes: object) -> None:
