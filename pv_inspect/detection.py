@@ -22,6 +22,7 @@ from pv_inspect.crossings import Crossings, FrameCrossings, crossings_of
 from pv_inspect.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.frame_copies import copies_told
+from pv_inspect.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import Outline, OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.pose_refinement import refined_pose
@@ -93,6 +94,11 @@ def detect(
         If no frame shows a module of that layout, or not at the given point, or if two modules
         are equally near to the centre.
     """
+    factor = reduction(sequence, layout)
+    if factor > 1:
+        reduced = ReducedFrames(sequence, factor)
+        search = detect(reduced.as_sequence(), layout, reduced.point(inside))
+        return (yield from enlarged(search, factor))
     count = len(sequence)
     found: dict[int, Found] = {}
     copied = copies_told(sequence.copies, sequence.names)

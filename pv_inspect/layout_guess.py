@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.detection import detect_in_frame
 from pv_inspect.errors import InspectionError
+from pv_inspect.large_frames import ReducedFrames, reduction
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.sequence import Sequence
@@ -126,6 +127,10 @@ def guess_layout(
         If no frame shows a whole module, or its gaps do not tell how many cells it has.
     """
     known = _known(sequence, settings or Settings())
+    factor = reduction(sequence, None)
+    if factor > 1:
+        reduced = ReducedFrames(sequence, factor)
+        sequence, inside = reduced.as_sequence(), reduced.point(inside)
     views: list[_View] = []
     reason = "no frame"
     distinct = [index for index in range(len(sequence)) if index not in sequence.copies]

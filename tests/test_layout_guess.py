@@ -17,6 +17,7 @@ from pv_inspect.simulate import SimulationSettings, simulated
 def _in_memory(frames: list[np.ndarray]) -> Any:
     class Frames:
         names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
+        shape = frames[0].shape if frames else (0, 0)
         layout_hint: ClassVar[dict[str, float]] = {}
         copies: ClassVar[dict[int, int]] = {}
 
