@@ -83,10 +83,10 @@ def main() -> None:
     )
     sums: Counter[str] = Counter()
     for number in range(arguments.mixtures):
-        sums += _report(_mixture(arguments.first_seed + number, number), arguments.no_register)
+        sums.update(_report(_mixture(arguments.first_seed + number, number), arguments.no_register))
     for number in range(arguments.pure):
         seed = arguments.first_seed + 500 + number
-        sums += _report(_pure(seed, number), arguments.no_register)
+        sums.update(_report(_pure(seed, number), arguments.no_register))
     print(", ".join(f"{name}: {count}" for name, count in sums.items()))
 
 
