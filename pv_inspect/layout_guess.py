@@ -22,7 +22,7 @@ from pv_inspect.outline import OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 
-__all__ = ["LayoutGuess", "guess_layout", "is_known"]
+__all__ = ["LayoutGuess", "guess_layout", "is_known", "layouts_in"]
 
 Array = NDArray[np.float64]
 
@@ -174,6 +174,17 @@ def guess_layout(
         )
     others = tuple(layout for layout, _ in [*good[1:], *candidates] if layout != good[0][0])
     return LayoutGuess(good[0][0], confidence, tuple(dict.fromkeys(others))[:3])
+
+
+def layouts_in(image: NDArray[np.float32]) -> list[tuple[ModuleLayout, float]]:
+    """Likely layouts of the module in one picture with their scores, 0 to 1, best first.
+
+    None if no outline stands out from what is around it, or no grid is seen in it.
+    """
+    try:
+        return _ranked([_view(image, None)], {})
+    except OutlineError:
+        return []
 
 
 def is_known(sequence: Sequence, settings: Settings) -> bool:

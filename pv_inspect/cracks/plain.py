@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
+from pv_inspect.cracks.module_pictures import module_in
 from pv_inspect.csv_tables import csv_text
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.frame_files import expand, natural_key, read_floats, read_frame
@@ -180,9 +181,14 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
     Raises
     ------
     InspectionError
-        See `read_cell`.
+        See `read_cell`; also if it looks like a whole module.
     """
     image = read_cell(path, settings.read_limits)
+    if (module := module_in(image)) is not None:
+        raise InspectionError(
+            f"{path.name} shows a grid of about {module.rows} x {module.cols} cells and looks like "
+            "a whole module, not like one cell: give it to `pv-inspect run`, or cut the cells out."
+        )
     point = operating_point_of(detector, settings)
     if isinstance(detector, BusbarFinder):
         probability, bars = detector.read(image)
