@@ -346,4 +346,8 @@ def _sentence(error: ValidationError) -> str:
         return f"There is no setting {name!r}: use one of {known}."
     unit = Settings.unit_of(name) if name in Settings.model_fields else ""
     why = f"{first['msg'][0].lower()}{first['msg'][1:]}"
-    return f"Setting {name} is {first['input']!r} [{unit}]: {why}."
+    try:
+        found = repr(first["input"])
+    except ValueError:  # Python writes out no number of thousands of digits
+        found = "a number of thousands of digits"
+    return f"Setting {name} is {found} [{unit}]: {why}."

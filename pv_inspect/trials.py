@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import sys
 import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -182,6 +183,16 @@ def _content(kept: Sequence[KeptTrial]) -> bytes:
     return content.getvalue()
 
 
+def _text(stored: NDArray[np.generic]) -> str:
+    """Return the text of an array of one; numpy makes strings of any numbers, also impossible."""
+    if stored.dtype.kind != "U" or stored.size != 1:
+        raise TypeError("its list of trials is no text")
+    native = stored.astype(stored.dtype.newbyteorder("=")).reshape(1)
+    if native.itemsize and int(native.view(np.uint32).max()) > sys.maxunicode:
+        raise ValueError("its list of trials has characters that do not exist")
+    return str(native[0])
+
+
 def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
     """Read the trials of a result folder; none if there is no file.
 
@@ -201,7 +212,7 @@ def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
             if sum(entry.file_size for entry in file.infolist()) > 2 * MOST_BYTES:
                 raise ValueError("too large")
         with np.load(path, allow_pickle=False) as file:
-            about = json_from(str(file["about"]))
+            about = json_from(_text(file["about"]))
             if not isinstance(about, list):
                 raise TypeError("its list of trials is none")
             found = tuple(

@@ -44,6 +44,7 @@ def test_settings_survive_a_toml_file(tmp_path: Path) -> None:
         ({"lambda_": 1}, "no setting 'lambda_': use one of rows"),
         ({"kappa": float("nan")}, "kappa is nan"),
         ({"rows": "many"}, "rows is 'many'"),
+        ({"rows": 10**5000}, "rows is a number of thousands of digits"),
         ({"registration_model": "ecc"}, "is 'ecc' .*should be 'camera' or 'homography'"),
     ],
 )

@@ -90,6 +90,14 @@ def npy(array: NDArray[Any]) -> bytes:
     return content.getvalue()
 
 
+def test_a_text_of_characters_that_do_not_exist_is_one_sentence(tmp_path: Path) -> None:
+    # str() of it would be a broken object, on which native code ends in a panic.
+    about = np.array([ord("["), 0x19000065, ord("]")], np.uint32).view("<U3")
+    np.savez(tmp_path / "trials.npz", about=about)
+    with pytest.raises(InspectionError, match="characters that do not exist"):
+        read_trials(tmp_path)
+
+
 HUGE = str({"descr": "<f2", "fortran_order": False, "shape": (10**12, 100)}).ljust(117).encode()
 
 
