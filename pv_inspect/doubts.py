@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from pv_inspect.figures import known_median
 from pv_inspect.frame_copies import copies_sentence
+from pv_inspect.orientation import quarter_turn_sentence
 
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection
@@ -71,7 +72,8 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
     names, copies = inspection.sequence.names, inspection.sequence.copies
-    found += [sentence for sentence in (copies_sentence(copies, names),) if sentence]
+    sentences = (copies_sentence(copies, names), quarter_turn_sentence(registration))
+    found += [sentence for sentence in sentences if sentence]
     if used > 1 and not registration.comparable:
         found.append(
             "The cells look so much alike in these frames that frames of another module would not "

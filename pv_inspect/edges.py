@@ -196,11 +196,11 @@ def measure_edges(
     for axis in range(2):
         across = edges.normal[:, axis] == 1
         outer, inner = visible & ~edges.inner & across, found & edges.inner & across
-        if not outer.any() or not found.any():
+        if not outer.any() or (edges.inner.any() and not found.any()):
             continue
         # Gaps between rows and between columns may differ in width.
         gaps = inner if inner.any() else found & edges.inner
-        gap = _gap_width(profiles[gaps], x, place[gaps], shapes[axis])
+        gap = _gap_width(profiles[gaps], x, place[gaps], shapes[axis]) if gaps.any() else 0.0
         turn = edges.side[outer] < 0
         flipped = np.where(turn[:, None], profiles[outer][:, ::-1], profiles[outer])
         step, deviation, good = _fit_steps(flipped, x, search_px)
@@ -298,7 +298,8 @@ def _robust_means(values: Array, sigma: Array) -> tuple[Array, Array]:
 
 def _scale_px(edges: CellEdges, pose: Pose) -> Array:
     jacobian = pose.camera.jacobian(pose.homography, edges.middle)
-    return np.asarray(np.sqrt(np.abs(np.linalg.det(jacobian))), np.float64)
+    with np.errstate(invalid="ignore"):  # NaN beyond the fold of the lens
+        return np.asarray(np.sqrt(np.abs(np.linalg.det(jacobian))), np.float64)
 
 
 def _profiles(

@@ -14,15 +14,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.detection import detect_in_frame
 from pv_inspect.errors import InspectionError
+from pv_inspect.frame_detection import detect_in_frame
 from pv_inspect.large_frames import ReducedFrames, reduction
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.outline import OutlineError, Pose, find_outlines, fit_pose
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
 
-__all__ = ["LayoutGuess", "guess_layout", "is_known", "layouts_in"]
+__all__ = [
+    "LayoutGuess",
+    "View",
+    "guess_layout",
+    "is_known",
+    "layouts_in",
+    "ranked_layouts",
+    "scored_view",
+    "view_of",
+]
 
 Array = NDArray[np.float64]
 
@@ -88,7 +97,7 @@ class _Lines:
 
 
 @dataclass(frozen=True)
-class _View:
+class View:
     """One frame: the module as the unit square, and how well each number of cells fits."""
 
     image: NDArray[np.float32]
@@ -97,9 +106,10 @@ class _View:
     down: _Lines
     ratio: float
 
-    def turned(self) -> _View:
+    def turned(self) -> View:
+        """Return the view of the module turned by a quarter."""
         pose = self.pose.turned(UNIT.size, UNIT.size, 1)
-        return _View(self.image, pose, self.down, self.across, 1 / self.ratio)
+        return View(self.image, pose, self.down, self.across, 1 / self.ratio)
 
 
 def guess_layout(
@@ -131,7 +141,7 @@ def guess_layout(
     if factor > 1:
         reduced = ReducedFrames(sequence, factor)
         sequence, inside = reduced.as_sequence(), reduced.point(inside)
-    views: list[_View] = []
+    views: list[View] = []
     reason = "no frame"
     distinct = [index for index in range(len(sequence)) if index not in sequence.copies]
     picks = np.linspace(0, len(distinct) - 1, min(len(distinct), 2 * MAX_FRAMES)).round()
@@ -139,7 +149,7 @@ def guess_layout(
         if len(views) == MAX_FRAMES:
             break
         try:
-            view = _view(sequence.frame(index).image, inside)
+            view = view_of(sequence.frame(index).image, inside)
         except OutlineError as error:
             reason = f"{sequence.names[index]}: {error}"
             continue
@@ -153,12 +163,12 @@ def guess_layout(
             f"The rows and columns of cells can't be guessed, no frame shows a whole module "
             f"({reason}): give rows and cols (--rows, --cols)."
         )
-    candidates = _ranked(views, known)
+    candidates = ranked_layouts(views, known)
     # Even a guess with half of the lines brings the pose that shows all of them sharply.
     for layout, _ in candidates:
         sharper = _sharpened(views, layout)
         if sharper:
-            candidates = _ranked(sharper, known)
+            candidates = ranked_layouts(sharper, known)
             break
     good = [pair for pair in candidates if _sharpened(views, pair[0])]
     confidence = 0.0
@@ -182,7 +192,7 @@ def layouts_in(image: NDArray[np.float32]) -> list[tuple[ModuleLayout, float]]:
     None if no outline stands out from what is around it, or no grid is seen in it.
     """
     try:
-        return _ranked([_view(image, None)], {})
+        return ranked_layouts([view_of(image, None)], {})
     except OutlineError:
         return []
 
@@ -197,14 +207,14 @@ def _known(sequence: Sequence, settings: Settings) -> dict[str, float]:
     return {**sequence.layout_hint, **{k: v for k, v in given.items() if v is not None}}
 
 
-def _view(image: NDArray[np.float32], inside: tuple[float, float] | None) -> _View:
+def view_of(image: NDArray[np.float32], inside: tuple[float, float] | None) -> View:
     """Take the outline in which the lines of a grid are clearest."""
-    best: _View | None = None
+    best: View | None = None
     for outline in find_outlines(image, inside):
         if outline.cut:
             continue
         pose, distance = fit_pose(outline, UNIT, image.shape, 0)
-        view = _scored(image, pose)
+        view = scored_view(image, pose)
         if distance > MAX_DISTANCE * np.sqrt(cv2.contourArea(_corners(pose))):
             continue
         if best is None or _strength(view) > _strength(best):
@@ -223,12 +233,12 @@ def _corners(pose: Pose) -> NDArray[np.float32]:
     return np.nan_to_num(pose.project(square)).astype(np.float32)
 
 
-def _scored(image: NDArray[np.float32], pose: Pose) -> _View:
+def scored_view(image: NDArray[np.float32], pose: Pose) -> View:
     """Score each number of cells on the module seen through a pose of the unit square."""
     corners = _corners(pose)
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     across_px, down_px = float(sides[[0, 2]].mean()), float(sides[[1, 3]].mean())
-    return _View(
+    return View(
         image,
         pose,
         _line_scores(_rectified(image, pose, across_px, True), across_px),
@@ -237,7 +247,7 @@ def _scored(image: NDArray[np.float32], pose: Pose) -> _View:
     )
 
 
-def _strength(view: _View) -> float:
+def _strength(view: View) -> float:
     return float(view.across.base.max() * view.down.base.max())
 
 
@@ -328,7 +338,7 @@ def _columns(place: Array, width: int) -> NDArray[np.int64]:
     return np.minimum((place * width).astype(np.int64), width - 1)
 
 
-def _ranked(views: list[_View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
+def ranked_layouts(views: list[View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
     """Likely layouts with their scores, best first."""
     across = np.mean([view.across.base for view in views], axis=0)
     down = np.mean([view.down.base for view in views], axis=0)
@@ -369,7 +379,7 @@ def _cell_aspect(seen: float, known: float | None) -> tuple[float, float]:
     return round(seen, 2), UNUSUAL_WEIGHT
 
 
-def _sharpened(views: list[_View], layout: ModuleLayout) -> list[_View]:
+def _sharpened(views: list[View], layout: ModuleLayout) -> list[View]:
     """Score some frames again with poses refined on the gaps of a layout.
 
     Returns an empty list unless the gaps are in place in most of these frames.
@@ -379,10 +389,10 @@ def _sharpened(views: list[_View], layout: ModuleLayout) -> list[_View]:
     for view in tried:
         start = view.pose.turned(UNIT.size, layout.size, 0)
         try:
-            pose, _ = detect_in_frame(view.image, layout, start)
+            pose = detect_in_frame(view.image, layout, start, whole=True).pose
         except OutlineError:
             continue
-        held.append(_scored(view.image, pose.turned(layout.size, UNIT.size, 0)))
+        held.append(scored_view(view.image, pose.turned(layout.size, UNIT.size, 0)))
     return held if 2 * len(held) > len(tried) else []
 
 

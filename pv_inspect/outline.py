@@ -7,6 +7,7 @@ refines it on the gaps between the cells.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -25,10 +26,13 @@ __all__ = [
     "find_outline",
     "find_outlines",
     "fit_pose",
+    "solver_errors_as_reasons",
 ]
 
 Array = NDArray[np.float64]
 MIN_AREA_SHARE = 0.02
+MIN_LENGTH_SHARE = 0.5
+"""What is smaller but as long as this share of the frame is a module of one row."""
 LARGE_SHARE = 0.3
 MAX_COMPONENTS = 3
 MAX_MISSING_CORNER = 1.25
@@ -41,6 +45,18 @@ CLOSINGS_PX = (9, 7, 5, 3)
 
 class OutlineError(Exception):
     """The frame shows no module; the text says why, as part of a sentence."""
+
+
+@contextmanager
+def solver_errors_as_reasons() -> Iterator[None]:
+    """Turn the errors of solvers into an `OutlineError`; also a decorator.
+
+    A few dead or foreign cells can leave an outline, or gaps, that determine no pose.
+    """
+    try:
+        yield
+    except (np.linalg.LinAlgError, cv2.error):
+        raise OutlineError("what is bright in it determines no pose of a flat module") from None
 
 
 @dataclass(frozen=True)
@@ -202,7 +218,9 @@ def find_outlines(
         for component in components:
             share = float(component.mean())
             largest = max(largest, share)
-            if share < MIN_AREA_SHARE:
+            if share < MIN_AREA_SHARE and _length(component) < MIN_LENGTH_SHARE * max(
+                width, height
+            ):
                 continue
             outline = _contour(component)
             if outline is None:
@@ -216,10 +234,12 @@ def find_outlines(
     yield from cut[:1]
     if largest < MIN_AREA_SHARE:
         raise OutlineError(
-            f"no module: the largest bright area covers {100 * largest:.1f} % of the frame"
+            f"no module: the largest bright area at least {widest} px wide covers "
+            f"{100 * largest:.1f} % of the frame"
         )
 
 
+@solver_errors_as_reasons()
 def fit_pose(
     outline: Outline,
     layout: ModuleLayout,
@@ -316,6 +336,12 @@ def _components(
     order = sorted(distances, key=lambda label: distances[label])
     for label in order[: 1 if strict else MAX_COMPONENTS]:
         yield np.asarray(labels == label, np.uint8)
+
+
+def _length(component: NDArray[np.uint8]) -> float:
+    """Diagonal of the upright rectangle around a component, pixels."""
+    _, _, width, height = cv2.boundingRect(component)
+    return float(np.hypot(width, height))
 
 
 def _contour(component: NDArray[np.uint8]) -> Outline | None:

@@ -10,11 +10,42 @@ from pv_inspect.camera import Camera
 from pv_inspect.edges import CellEdges, EdgeOffsets
 from pv_inspect.outline import OutlineError, Pose
 
-__all__ = ["refined_pose"]
+__all__ = ["refined_pose", "split_edges"]
 
 Array = NDArray[np.float64]
 
 KAPPA_STEP = 1e-5
+MIN_PARTS = 24
+"""A pose and a lens have 9 parameters; so many measurements leave some to spare."""
+PARTS = 3
+SPLIT_LENGTH = 0.7
+"""The share of an edge that its parts cover: mono cells have cut corners at the ends."""
+
+
+def split_edges(edges: CellEdges) -> CellEdges:
+    """Cut the edges of a single row, column or cell into parts, to be measured one by one.
+
+    Where no line has two edges, an edge measured as one says where the line is but not how it is
+    turned, and the pose stays open.
+    """
+    upright = edges.normal[:, 0] == 1
+    # As many different places along each direction as there are rows or columns.
+    single = any(
+        len(np.unique(edges.middle[side][:, axis].round(6))) == 1
+        for axis, side in ((1, upright), (0, ~upright))
+    )
+    if not single:
+        return edges
+    parts = max(PARTS, -(-MIN_PARTS // len(edges.middle)))
+    step = ((np.arange(parts) + 0.5) / parts - 0.5) * SPLIT_LENGTH
+    return CellEdges(
+        (edges.middle[:, None] + step[:, None] * edges.along[:, None]).reshape(-1, 2),
+        np.repeat(edges.normal, parts, axis=0),
+        np.repeat(edges.along * SPLIT_LENGTH / parts, parts, axis=0),
+        np.repeat(edges.crossings, parts, axis=0),
+        np.repeat(edges.inner, parts),
+        np.repeat(edges.side, parts),
+    )
 
 
 def refined_pose(pose: Pose, edges: CellEdges, offsets: EdgeOffsets) -> Pose:

@@ -125,6 +125,52 @@ def test_wrong_rows_or_columns_are_refused_in_one_sentence(
         _finish(detect(frames, ModuleLayout(rows, cols)))
 
 
+def test_the_layout_that_fits_is_named_after_a_few_frames(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    frames = _in_memory(_floats(small_sequence[0]) * 5)
+    looked: list[int] = []
+    show = frames.frame
+    frames.frame = lambda index: (looked.append(index), show(index))[1]
+    with pytest.raises(
+        InspectionError, match=r"4 rows x 6 columns: .*--rows 4 --cols 6\."
+    ) as error:
+        _finish(detect(frames, ModuleLayout(5, 6)))
+    assert len(str(error.value)) < 400
+    assert len(looked) == 3
+
+
+def test_a_black_beginning_does_not_refuse_the_layout(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.003, (9, 216, 288)).astype(np.float32)
+    frames = _in_memory([*noise, *_floats(small_sequence[0])[:1]])
+    crossings = _finish(detect(frames, ModuleLayout(4, 6)))
+    assert [frame.why == "" for frame in crossings.frames] == [*[False] * 9, True]
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(1, 8), (8, 1), (1, 1)])
+def test_a_single_row_column_or_cell_is_found(rows: int, cols: int) -> None:
+    settings = SimulationSettings(
+        seed=3,
+        rows=rows,
+        cols=cols,
+        n_frames=1,
+        width=320,
+        height=320,
+        pixels_per_unit=100 if rows * cols > 1 else 400,
+        supersampling=3,
+        tilt_deg=8,
+        kappa=-0.1,
+    )
+    simulation = simulated(settings)
+    crossings = _finish(detect(_in_memory(_floats(simulation)), settings.layout))
+    assert crossings.frames[0].why == ""
+    # A single cell has no neighbour that shows how wide the gaps are: half a gap is uncertain.
+    px_per_unit = np.linalg.norm(np.ptp(simulation.crossings_px(0), axis=0)) / np.hypot(rows, cols)
+    assert _rmse(crossings, simulation, 0) < (0.5 if rows * cols > 1 else 0.5 + 0.015 * px_per_unit)
+
+
 def test_a_picture_without_a_module_is_refused() -> None:
     rng = np.random.default_rng(0)
     picture = rng.normal(0.3, 0.02, (200, 260)).astype(np.float32)

@@ -90,3 +90,15 @@ def test_copies_are_told_in_one_sentence_not_frame_by_frame() -> None:
     assert not any("is not used" in text for text in warnings)
     told = summary(replace(made, sequence=sequence, warnings=warnings), Path("out"), 1.0)
     assert "not used" not in told
+
+
+def test_rows_that_run_down_the_frames_are_warned_about() -> None:
+    made = made_inspection()
+    registration = made.registration
+    assert registration is not None
+    assert not any("turned by a quarter" in text for text in warnings_of(made))
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    turned = replace(registration, homographies=quarter @ registration.homographies)
+    texts = warnings_of(replace(made, registration=turned))
+    rows, cols = registration.layout.rows, registration.layout.cols
+    assert any(f"give --rows {cols} --cols {rows}" in text for text in texts)

@@ -13,6 +13,7 @@ from pv_inspect.outline import (
     find_outline,
     find_outlines,
     fit_pose,
+    solver_errors_as_reasons,
 )
 
 SHAPE = (216, 288)
@@ -120,3 +121,8 @@ def test_the_perspective_tells_the_aspect_of_the_module() -> None:
     square = ModuleLayout(1, 1)
     pose, _ = fit_pose(find_outline(image), square, SHAPE, 0)
     assert pose.aspect == pytest.approx(6 / 4, rel=0.03)
+
+
+def test_an_error_of_a_solver_is_a_reason_of_the_frame() -> None:
+    with pytest.raises(OutlineError, match="no pose"), solver_errors_as_reasons():
+        np.linalg.inv(np.zeros((3, 3)))
