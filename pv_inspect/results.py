@@ -212,7 +212,14 @@ def read_result(folder: Path) -> Result:
 
 def _read_result(folder: Path) -> Result:
     path = folder / RESULT_JSON
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:  # no permission, or a name that is too long
+        raise InspectionError(
+            f"{folder} can't be read ({error.strerror}): give the folder that `pv-inspect run "
+            "--out` wrote."
+        ) from None
+    if not there:
         raise InspectionError(
             f"{folder} is no result folder ({RESULT_JSON} is missing): give the folder that "
             "`pv-inspect run --out` wrote."

@@ -269,3 +269,8 @@ def test_a_damaged_result_is_told_in_one_sentence(
     path.unlink() if content is None else path.write_text(content)
     with pytest.raises(InspectionError, match=said):
         read_result(tmp_path / "out")
+
+
+def test_a_name_that_is_too_long_for_a_folder_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InspectionError, match=r"can't be read \(File name too long\)"):
+        read_result(tmp_path / ("a b " * 200))
