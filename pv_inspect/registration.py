@@ -456,8 +456,11 @@ def _indices(used: NDArray[np.bool_]) -> list[int]:
 
 def _mean_scale(camera: Camera, homographies: Array, layout: ModuleLayout) -> float:
     points = layout.crossings()
-    areas = [np.abs(np.linalg.det(camera.jacobian(H, points))) for H in homographies]
-    return float(np.sqrt(np.nanmean(areas)))
+    jacobians = np.concatenate(
+        [np.empty((0, 2, 2)), *(camera.jacobian(H, points) for H in homographies)]
+    )
+    seen = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
+    return float(np.sqrt(np.abs(np.linalg.det(seen)).mean())) if seen.size else float("nan")
 
 
 def _first_reason(why: tuple[str, ...]) -> str:
