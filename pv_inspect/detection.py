@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Generator
+from contextlib import suppress
 from functools import partial
 
 import cv2
@@ -200,8 +201,15 @@ def _outcome(
     if not ask:
         return reason
     seen = seen_layout(image, layout, inside)
+    if seen is not None and fits_given(seen[0], layout):
+        return seen[1]
     if seen is not None:
-        return seen[1] if fits_given(seen[0], layout) else _OtherLayoutError(str(reason), seen[0])
+        # A row of mostly dead cells is missing from the outline, and then from what is seen.
+        smaller = seen[0].rows <= layout.rows and seen[0].cols <= layout.cols
+        if thoroughly and smaller:
+            with suppress(OutlineError):
+                return completed_module(image, layout, inside)
+        return _OtherLayoutError(str(reason), seen[0])
     if thoroughly:
         try:
             return completed_module(image, layout, inside)

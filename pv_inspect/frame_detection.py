@@ -163,7 +163,8 @@ def completed_module(
     Parameters and errors are those of `find_module`, which comes first.
     """
     if cell_edges(layout).inner.sum() >= MIN_GAPS_TO_COMPLETE:
-        for outline in _complete_outlines(image, inside):
+        # Nearly the same outline may come to another fifth side.
+        for outline in _complete_outlines(image, inside, apart_px=0.0):
             for whole in outline.completed():
                 with contextlib.suppress(OutlineError):
                     return _fitted(image, layout, whole)
@@ -171,7 +172,9 @@ def completed_module(
 
 
 def _complete_outlines(
-    image: NDArray[np.float32], inside: tuple[float, float] | None
+    image: NDArray[np.float32],
+    inside: tuple[float, float] | None,
+    apart_px: float = SAME_OUTLINE_PX,
 ) -> Iterator[Outline]:
     """Yield the outlines that are not cut, each once.
 
@@ -185,9 +188,7 @@ def _complete_outlines(
     for outline in find_outlines(image, inside):
         cut |= outline.cut
         corners = outline.corners_px
-        if outline.cut or any(
-            np.abs(corners - one.corners_px).max() < SAME_OUTLINE_PX for one in seen
-        ):
+        if outline.cut or any(np.abs(corners - one.corners_px).max() < apart_px for one in seen):
             continue
         seen.append(outline)
         yield outline
