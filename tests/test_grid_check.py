@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.frame_detection import find_module
+from pv_inspect.frame_detection import detect_in_frame, find_module
 from pv_inspect.grid_check import cell_levels, grid_fault, is_lit
 from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import Pose
+from pv_inspect.outline import OutlineError, Pose
 from pv_inspect.simulate import SimulatedSequence
 
 TRUE = ModuleLayout(4, 6)
@@ -48,6 +48,19 @@ def test_a_grid_on_the_lines_of_the_module_but_too_small_or_too_large_is_told(
 ) -> None:
     image, pose = module
     assert fault in grid_fault(image, ModuleLayout(rows, cols), shifted(pose, *at))
+
+
+def test_a_grid_that_ends_at_no_border_is_told(module: Module) -> None:
+    image, pose = module
+    height, width = image.shape
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+    x, y = pose.unproject(pixels.astype(np.float64)).T
+    beyond = (x > 0) & (x < 6) & ((y < 0) | (y > 4))
+    endless = image.copy()
+    endless[beyond.reshape(height, width)] = np.percentile(image, 90)
+    assert detect_in_frame(image, TRUE, pose, whole=True).share > 0.9
+    with pytest.raises(OutlineError, match="begin and end at no border"):
+        detect_in_frame(endless, TRUE, pose, whole=True)
 
 
 def test_half_as_many_rows_and_columns_are_told_by_the_borders_within(module: Module) -> None:
