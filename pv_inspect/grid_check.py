@@ -26,8 +26,9 @@ Mask = NDArray[np.bool_]
 # The limits were chosen on simulated modules of 4 x 6 to 24 x 6 cells (benchmarks/wrong_layouts.py,
 # seeds 0 to 20) with their true grid and with the grid moved on and off by one and two lines.
 # There, right grids had 0.75 to 1.0 of the gaps of their worst line, at most 0.15 of the gaps that
-# would halve the cells both ways, and outer rows of level 0.66 to 1; wrong ones had 0 of the gaps
-# of a line outside, 0.81 to 1 of the halving gaps, and rows outside of level 0 to 0.05.
+# would halve the cells both ways (0.11 of the share of the grid's own gaps, seeds 0 to 59), and
+# outer rows of level 0.66 to 1; wrong ones had 0 of the gaps of a line outside, 0.88 to 1 of the
+# share of their own gaps halving the cells, and rows outside of level 0 to 0.05.
 IN_PLACE_PX = 0.5
 LINE_PX = 1.0
 """A whole line may lie so far off: the pose of one frame is not perfect."""
@@ -245,11 +246,25 @@ def _has_finer_grid(
     with np.errstate(invalid="ignore"):
         in_place = np.abs(offsets_px(edges, offsets, halved)) < IN_PLACE_PX
     upright = finer.rows * (finer.cols + 1)
-    halving = (
-        in_place[:upright].reshape(finer.rows, -1)[:, 1::2][np.repeat(lit, 2, axis=0)],
-        in_place[upright:].reshape(-1, finer.cols)[1::2][np.repeat(lit, 2, axis=1)],
+    return all(
+        _halves(lines, bright)
+        for lines, bright in (
+            (in_place[:upright].reshape(finer.rows, -1), np.repeat(lit, 2, axis=0)),
+            (in_place[upright:].reshape(-1, finer.cols).T, np.repeat(lit, 2, axis=1).T),
+        )
     )
-    return all(len(part) > 0 and part.mean() > FINER_SHARE for part in halving)
+
+
+def _halves(lines: Mask, bright: Mask) -> bool:
+    """Whether the odd lines of a finer grid (m, 2 n + 1) are gaps like the even ones.
+
+    `bright` (m, n) are the cells of the grid itself. Blur and motion may hide all lines of one
+    direction alike, so that the share of gaps says nothing by itself.
+    """
+    halving = lines[:, 1::2][bright]
+    own = lines[:, 2:-1:2][bright[:, 1:] & bright[:, :-1]]
+    usual = float(own.mean()) if own.size else 1.0
+    return bool(halving.any()) and float(halving.mean()) > FINER_SHARE * usual
 
 
 def _search(layout: ModuleLayout, pose: Pose) -> float:

@@ -28,6 +28,14 @@ def shifted(pose: Pose, columns: float, rows: float) -> Pose:
     return Pose(pose.camera, pose.homography @ shift)
 
 
+def module_points(image: np.ndarray, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """Module coordinates x and y of every pixel."""
+    height, width = image.shape
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+    x, y = pose.unproject(pixels.astype(np.float64)).T
+    return x.reshape(height, width), y.reshape(height, width)
+
+
 def test_nothing_speaks_against_the_true_grid(module: Module) -> None:
     assert grid_fault(module[0], TRUE, module[1], whole=True) == ""
 
@@ -52,12 +60,9 @@ def test_a_grid_on_the_lines_of_the_module_but_too_small_or_too_large_is_told(
 
 def test_a_grid_that_ends_at_no_border_is_told(module: Module) -> None:
     image, pose = module
-    height, width = image.shape
-    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
-    x, y = pose.unproject(pixels.astype(np.float64)).T
+    x, y = module_points(image, pose)
     beyond = (x > 0) & (x < 6) & ((y < 0.2) | (y > 3.8))
-    endless = image.copy()
-    endless[beyond.reshape(height, width)] = np.percentile(image, 90)
+    endless = np.where(beyond, np.float32(np.percentile(image, 90)), image)
     assert detect_in_frame(image, TRUE, pose, whole=True).share > 0.9
     with pytest.raises(OutlineError, match="begin and end at no border"):
         detect_in_frame(endless, TRUE, pose, whole=True)
@@ -67,6 +72,18 @@ def test_half_as_many_rows_and_columns_are_told_by_the_borders_within(module: Mo
     image, pose = module
     doubled = Pose(pose.camera, pose.homography @ np.diag([2.0, 2, 1]))
     assert "in the middle" in grid_fault(image, ModuleLayout(2, 3), doubled)
+
+
+def test_halves_are_told_where_most_of_the_lines_of_one_direction_are_hidden(
+    module: Module,
+) -> None:
+    image, pose = module
+    x, y = module_points(image, pose)
+    hidden = (x > 0) & (x < 4) & (y > 0.5) & (y < 3.5) & (np.abs(y - np.round(y)) < 0.2)
+    smeared = np.where(hidden, np.float32(np.percentile(image, 90)), image)
+    doubled = Pose(pose.camera, pose.homography @ np.diag([2.0, 2, 1]))
+    assert "in the middle" in grid_fault(smeared, ModuleLayout(2, 3), doubled)
+    assert "in the middle" not in grid_fault(smeared, TRUE, pose)
 
 
 def test_a_line_that_is_no_gap_is_told(module: Module) -> None:
