@@ -31,6 +31,8 @@ _THUMBNAIL = (48, 64)
 _ALIKE = 0.02
 # So many of the most similar earlier frames are compared with a frame.
 _NEAREST = 3
+# All of a usual sequence; at most 4 MiB each.
+_WINDOWS_KEPT = 24
 # Larger frames are compared in a window of this side around what is bright.
 _WINDOW_PX = 1024
 # The three marks of a copy; numbers are of simulated pairs of frames (8 and 12 bit, usual and low
@@ -47,6 +49,8 @@ _EVEN, _EVEN_SLACK = 0.5, 0.08
 # fine detail only: JPEG of quality 90 and more has 0.1 to 0.37; exposures 1, sharpened ones 0.42.
 # It need not be smaller than the noise for that.
 _FINE_ONLY, _COMPRESSION = 0.38, 2.0
+# In a part of the blocks a ratio four times too large is no copy's.
+_EXCLUDED = 4.0 * _COMPRESSION
 # A copy does not move [LR px]; the precision on single frames is about 0.005.
 _STILL_PX = 0.03
 # Share of the most different blocks that does not count: a clock in the picture, a passing bird.
@@ -93,7 +97,7 @@ class FrameContents:
         found: dict[int, int] = {}
         distinct: list[int] = []
         pictures = np.array(self._thumbnails)
-        window = lru_cache(maxsize=_NEAREST + 2)(lambda k: _Window.of(read(k)))
+        window = lru_cache(maxsize=_WINDOWS_KEPT)(lambda k: _Window.of(read(k)))
         for index, digest in enumerate(self._digests):
             first = originals.setdefault(digest, index)
             if first != index:
@@ -101,7 +105,7 @@ class FrameContents:
                 continue
             away = np.median(np.abs(pictures[distinct] - pictures[index]), axis=1)
             for k in np.argsort(away, kind="stable")[:_NEAREST].tolist():
-                if away[k] < _ALIKE and _likeness(window(distinct[k]), window(index)).same:
+                if away[k] < _ALIKE and _same(window(distinct[k]), window(index)):
                     found[index] = distinct[k]
                     break
             else:
@@ -215,9 +219,22 @@ class _Window:
         image = cut[: len(cut) // 8 * 8, : cut.shape[1] // 8 * 8].astype(np.float32)
         return cls(image, estimate_noise([image / np.float32(_SCALE)], [image < image.max()]))
 
+    def thinned(self) -> _Window:
+        """Return every eighth row of blocks, with the same noise."""
+        rows = self.image.reshape(-1, _BLOCK_PX, self.image.shape[1])[::8]
+        return _Window(rows.reshape(-1, self.image.shape[1]), self.noise)
+
     def variance(self, level: Image) -> float:
         """Mean variance of the noise at the given intensities, DN^2."""
         return float(np.mean(np.square(self.noise.sigma(level / np.float32(_SCALE))))) * _SCALE**2
+
+
+def _same(first: _Window, second: _Window) -> bool:
+    """Whether the frames are one exposure; a part of them excludes it for most that moved."""
+    ratio = _likeness(first.thinned(), second.thinned()).ratio
+    if _EXCLUDED < ratio < np.inf:
+        return False
+    return _likeness(first, second).same
 
 
 def _likeness(first: _Window, second: _Window) -> Likeness:
