@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -38,7 +39,11 @@ def window(
     replayed: Any,
     qtbot: QtBot,
 ) -> tuple[Any, Any]:
-    """Window of 1280 x 800 with a whole inspection, gallery below, and its dock."""
+    """Window of 1280 x 800 with a whole inspection, gallery below, and its dock.
+
+    Warnings are shown whole and take room of the page; five steps of the solver bring one.
+    """
+    replayed.inspection = replace(replayed.inspection, warnings=())
     viewer = make_napari_viewer(show=True)
     main = viewer.window._qt_window
     dock, _ = build(viewer)

@@ -93,7 +93,7 @@ class InspectDock(QWidget):
         sources.addWidget(self.open_sample, 0, 2, 2, 1)
         sources.setColumnStretch(0, 1)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 2, 6, 4)
+        layout.setContentsMargins(6, 2, 6, 2)
         layout.setSpacing(4)
         layout.addLayout(sources)
         layout.addWidget(self.steps)
