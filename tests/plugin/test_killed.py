@@ -150,7 +150,9 @@ def test_the_last_whole_result_loads_after_kill_9_during_a_run_or_while_saving(
 ) -> None:
     with killed_at_the_end(RUN, folder) as process:
         assert process.stdout is not None
-        assert [process.stdout.readline().strip() for _ in range(3)] == ["whole"] * 3
+        # napari writes its notices there too: with another lambda no cell may be decidable.
+        told = (line.strip() for line in process.stdout if not line.startswith("ERROR: In doubt:"))
+        assert [next(told) for _ in range(3)] == ["whole"] * 3
         sleep(delay_s)
     result = read_result(folder)
     assert np.isfinite(result.image).any()
