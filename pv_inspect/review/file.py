@@ -18,7 +18,8 @@ from pv_inspect.review.schema import TABLES, damaged, failure, opened
 __all__ = ["REVIEW_FILE", "ReviewFile"]
 
 REVIEW_FILE = "review.sqlite"
-_REPLACED_S = 0.02
+# Between the two renames of a replacement there is no folder: how long and how often it is sought.
+_REPLACED_S, _POLL_S = 0.5, 0.005
 # No question takes a second; a file that was made to keep us busy is given up.
 _PATIENCE_S = 8.0
 
@@ -62,18 +63,24 @@ class ReviewFile:
         except OSError:
             return False
 
+    def _comes_back(self) -> bool:
+        end = monotonic() + _REPLACED_S
+        while not self._exists():
+            if monotonic() > end:
+                return False
+            sleep(_POLL_S)
+        return True
+
     def _open(self, create: bool) -> sqlite3.Connection | None:
         """Return the connection to the file that has the name now; None if there is none to read.
 
         Where a result is replaced without hard links, the file is another one afterwards.
         """
-        if self._connection is not None and not self._exists():
-            sleep(_REPLACED_S)  # between the two renames of a replacement there is no folder
-            if not self._exists():
-                raise InspectionError(
-                    f"{self.path} is gone although it was in use: put it back, or close this "
-                    "module and open it again."
-                )
+        if self._connection is not None and not self._comes_back():
+            raise InspectionError(
+                f"{self.path} is gone although it was in use: put it back, or close this "
+                "module and open it again."
+            )
         if not create and not self._exists():
             return None
         if self.path.exists() and not self.path.is_file():
@@ -105,10 +112,17 @@ class ReviewFile:
         A result that is replaced without hard links holds the transaction up until the file is
         another one; what was stored in the old one would be lost.
         """
+        end = monotonic() + _REPLACED_S
         while True:
-            connection = self._open(create=True)
-            assert connection is not None
-            connection.execute("BEGIN IMMEDIATE")
+            try:
+                connection = self._open(create=True)
+                assert connection is not None
+                connection.execute("BEGIN IMMEDIATE")
+            except (FileNotFoundError, sqlite3.OperationalError) as error:
+                if monotonic() > end or not _is_missing(error):
+                    raise
+                sleep(_POLL_S)
+                continue
             with suppress(OSError):
                 if self._identity() == self._file:
                     return connection
@@ -152,3 +166,10 @@ class ReviewFile:
                 raise damaged(self.path, str(error)) from None
             except OSError as error:
                 raise InspectionError(f"{self.path} can't be written: {error.strerror}.") from None
+
+
+def _is_missing(error: FileNotFoundError | sqlite3.OperationalError) -> bool:
+    """Whether the file or its folder was not there."""
+    if isinstance(error, FileNotFoundError):
+        return True
+    return error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_CANTOPEN
