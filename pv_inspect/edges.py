@@ -250,7 +250,9 @@ def measure_gaps_robustly(
     place, _, found = _fit_gaps(profiles, x, search * scale, shape)
     dark = _missing_light(profiles, x, place, shape.reach).reshape(n, places)
     place = np.where(found, place, np.nan).reshape(n, places)
-    good = visible & edges.inner & (np.isfinite(place).sum(axis=1) > places // 2)
+    # Where one side of a gap is black, how wide the gap is can't be told.
+    known = np.isfinite(place) & np.isfinite(dark)
+    good = visible & edges.inner & (known.sum(axis=1) > places // 2)
     sigma = np.full((n, places), np.inf)
     for axis in range(2):
         along = good & (edges.normal[:, axis] == 1)

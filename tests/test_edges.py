@@ -94,6 +94,19 @@ def test_a_gap_between_unevenly_dark_margins_counts_less_than_a_clean_one() -> N
     assert offsets.sigma[spoilt].min() > 1.5 * offsets.sigma[clean].max()
 
 
+def test_a_gap_beside_a_black_cell_has_no_place_and_no_infinite_weight() -> None:
+    levels = np.full((3, 4), 0.6)
+    levels[:, 0] = 0.0
+    image = _module(levels)
+    image[:, :61] = np.minimum(image[:, :61], 0.0)
+    edges = cell_edges(LAYOUT)
+    offsets = measure_gaps_robustly(image, edges, _pose(), 0.05, GapShape(0.6, 1.3, 1.75))
+    black = (edges.middle[:, 0] == 1) & (edges.normal[:, 0] == 1)
+    assert not offsets.found[black].any()
+    assert np.all(offsets.sigma[offsets.found] > 0)
+    assert np.isfinite(offsets.offset[offsets.found]).all()
+
+
 def test_the_robust_mean_leaves_out_what_is_spoilt_or_unknown() -> None:
     values = np.array([[0.1, 0.12, 0.11, 3.0, np.nan], [1.0, 1.0, 1.0, 1.0, 1.0]])
     sigma = np.full(values.shape, 0.05)
