@@ -25,6 +25,7 @@ from pv_inspect.frame_copies import copies_told
 from pv_inspect.frame_detection import (
     RUNS_OVER,
     Found,
+    GridFaultError,
     TwoModulesError,
     completed_module,
     detect_in_frame,
@@ -34,7 +35,7 @@ from pv_inspect.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.orientation import same_way_up
 from pv_inspect.outline import OutlineError, Pose
-from pv_inspect.seen_layout import better_layout, fits_given, seen_layout
+from pv_inspect.seen_layout import better_layout, fits_given, found_around, seen_layout
 from pv_inspect.sequence import Sequence
 
 __all__ = ["detect"]
@@ -140,6 +141,9 @@ def detect(
         except OutlineError as error:
             reasons[index] = error
         yield 0.8 + 0.2 * (index + 1) / count
+    faulty = _faulty(reasons)
+    if len(faulty) > len(found):
+        raise InspectionError(_mostly_faulty(sequence, layout, reasons, faulty))
     same_way_up(sequence, layout, found)
     return Crossings(
         layout,
@@ -205,16 +209,11 @@ def _outcome(
         return seen[1]
     if seen is not None:
         # A row of mostly dead cells is missing from the outline, and then from what is seen.
-        smaller = seen[0].rows <= layout.rows and seen[0].cols <= layout.cols
-        if thoroughly and smaller:
-            with suppress(OutlineError):
-                return completed_module(image, layout, inside)
-        return _OtherLayoutError(str(reason), seen[0])
+        around = found_around(image, layout, *seen) if thoroughly else None
+        return around or _OtherLayoutError(str(reason), seen[0])
     if thoroughly:
-        try:
+        with suppress(OutlineError):
             return completed_module(image, layout, inside)
-        except OutlineError:
-            return reason
     return reason
 
 
@@ -233,6 +232,22 @@ def _unless_better(
         "cells are where they should be"
     )
     raise _OtherLayoutError(reason, better)
+
+
+def _faulty(reasons: dict[int, OutlineError]) -> list[int]:
+    """In which frames something speaks against the rows and columns."""
+    faults = GridFaultError | _OtherLayoutError
+    return [k for k in sorted(reasons) if isinstance(reasons[k], faults)]
+
+
+def _mostly_faulty(
+    sequence: Sequence, layout: ModuleLayout, reasons: dict[int, OutlineError], faulty: list[int]
+) -> str:
+    return (
+        f"{len(faulty)} of {len(sequence)} frames speak against a module of {layout.rows} rows x "
+        f"{layout.cols} columns ({sequence.names[faulty[0]]}: {reasons[faulty[0]]}): check rows "
+        "and cols."
+    )
 
 
 def _nothing_found(

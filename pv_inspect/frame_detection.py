@@ -25,8 +25,10 @@ from pv_inspect.outline import (
 from pv_inspect.pose_refinement import refined_pose, split_edges
 
 __all__ = [
+    "MAX_ASPECT_RATIO_ERROR",
     "RUNS_OVER",
     "Found",
+    "GridFaultError",
     "TwoModulesError",
     "completed_module",
     "detect_in_frame",
@@ -75,6 +77,10 @@ class TwoModulesError(OutlineError):
     """The frame shows two modules that are equally near to its centre."""
 
 
+class GridFaultError(OutlineError):
+    """The gaps are in place, but something speaks against this number of rows and columns."""
+
+
 @solver_errors_as_reasons()
 def detect_in_frame(
     image: NDArray[np.float32], layout: ModuleLayout, start: Pose, *, whole: bool = False
@@ -98,7 +104,9 @@ def detect_in_frame(
     Raises
     ------
     OutlineError
-        If too few of the expected gaps are there, or the module has other rows and columns.
+        If too few of the expected gaps are there.
+    GridFaultError
+        If something speaks against this number of rows and columns.
     """
     edges = cell_edges(layout)
     pose = start
@@ -118,10 +126,10 @@ def detect_in_frame(
         )
     fault = grid_fault(image, layout, pose, whole=whole)
     if fault:
-        raise OutlineError(fault)
+        raise GridFaultError(fault)
     crossings = crossings_of(layout, edges, offsets, pose)
     if whole and _share_of_ends(layout, crossings) < LEAST_ENDS:
-        raise OutlineError(
+        raise GridFaultError(
             f"the {layout.rows} x {layout.cols} cells begin and end at no border: what lies on the "
             "inner lines are busbars"
         )

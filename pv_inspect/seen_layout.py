@@ -7,12 +7,12 @@ import contextlib
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.frame_detection import Found, detect_in_frame
+from pv_inspect.frame_detection import MAX_ASPECT_RATIO_ERROR, Found, detect_in_frame
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import View, ranked_layouts, scored_view, view_of
 from pv_inspect.outline import OutlineError, Pose
 
-__all__ = ["better_layout", "fits_given", "seen_layout"]
+__all__ = ["better_layout", "fits_given", "found_around", "seen_layout"]
 
 UNIT = ModuleLayout(1, 1)
 MAX_TRIED = 4
@@ -20,6 +20,8 @@ SURE_SHARE = 0.85
 """With so many gaps in place no other layout is asked for. On simulated modules of 15 to 60 px per
 cell right layouts had 0.85 to 1 in nearly all frames, a wrong one that came through 0.64."""
 CLEARLY = 0.1
+MAX_HIDDEN = 2
+"""So many rows and columns of dead cells may lie outside of what is seen."""
 MIN_GAPS = 30
 """With fewer gaps between cells, most of them may be in place by chance."""
 
@@ -34,7 +36,7 @@ def seen_layout(
     image : (height, width) float32
     given : ModuleLayout
         Of the two ways round, the layout that is nearer to this one is returned; where only its
-        cell aspect differs, this one itself.
+        cell aspect differs a little, this one itself.
     inside : tuple of float, optional
         (x, y) of a point in the wanted module, LR pixels.
 
@@ -59,6 +61,40 @@ def seen_layout(
     layout, there = found
     sharp = scored_view(image, there.pose.turned(layout.size, UNIT.size, 0))
     return _first_that_fits(sharp, given, found)
+
+
+def found_around(
+    image: NDArray[np.float32], given: ModuleLayout, seen: ModuleLayout, there: Found
+) -> Found | None:
+    """Find a module of which a smaller layout is seen because outer cells are dead.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+    given : ModuleLayout
+    seen : ModuleLayout
+    there : Found
+        Pose of what is seen.
+
+    Returns
+    -------
+    Found or None
+        Of the places where the given layout holds all that is seen, the one with most gaps.
+    """
+    rows, cols = given.rows - seen.rows, given.cols - seen.cols
+    hidden = rows + cols > 0 and 0 <= rows <= MAX_HIDDEN and 0 <= cols <= MAX_HIDDEN
+    if not hidden or not _alike_cells(seen, given):
+        return None
+    # Module units go with the width of a cell.
+    stretched = np.diag([1.0, given.cell_aspect / seen.cell_aspect, 1.0])
+    fits: list[Found] = []
+    for above in range(rows + 1):
+        for before in range(cols + 1):
+            moved = np.array([[1.0, 0, -before], [0, 1, -above / given.cell_aspect], [0, 0, 1]])
+            start = Pose(there.pose.camera, there.pose.homography @ stretched @ moved)
+            with contextlib.suppress(OutlineError):
+                fits.append(detect_in_frame(image, given, start, whole=True))
+    return max(fits, key=lambda fit: fit.share, default=None)
 
 
 def better_layout(
@@ -91,8 +127,8 @@ def better_layout(
 
 
 def fits_given(seen: ModuleLayout, given: ModuleLayout) -> bool:
-    """Whether rows and columns are the given ones."""
-    return (seen.rows, seen.cols) == (given.rows, given.cols)
+    """Whether rows and columns are the given ones, and the shape of the cells nearly."""
+    return (seen.rows, seen.cols) == (given.rows, given.cols) and _alike_cells(seen, given)
 
 
 def _first_that_fits(
@@ -119,6 +155,12 @@ def _as_given(layout: ModuleLayout, pose: Pose, given: ModuleLayout) -> tuple[Mo
     if fits_given(seen, given):
         seen = given
     return seen, pose.turned(UNIT.size, seen.size, quarter)
+
+
+def _alike_cells(one: ModuleLayout, other: ModuleLayout) -> bool:
+    """Whether the cells have nearly the same shape; perspective changes the apparent one."""
+    stretch = abs(np.log(one.cell_aspect / other.cell_aspect))
+    return bool(stretch <= np.log(MAX_ASPECT_RATIO_ERROR))
 
 
 def _few_gaps(layout: ModuleLayout) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pv_inspect.crossings import Crossings, FrameCrossings, _side_shifts
 from pv_inspect.detection import detect
@@ -138,6 +139,37 @@ def test_the_layout_that_fits_is_named_after_a_few_frames(
         _finish(detect(frames, ModuleLayout(5, 6)))
     assert len(str(error.value)) < 400
     assert len(looked) == 3
+
+
+@pytest.mark.parametrize("faulty", [2, 3])
+def test_a_layout_that_most_frames_speak_against_is_refused(
+    small_sequence: tuple[SimulatedSequence, Path],
+    monkeypatch: pytest.MonkeyPatch,
+    faulty: int,
+) -> None:
+    """Frames that show a fault of the grid are told by their brightness here."""
+    frames = [(1 + (k < faulty)) * frame for k, frame in enumerate(_floats(small_sequence[0]) * 3)]
+    frames = frames[:5]
+    limit = 1.5 * float(frames[-1].mean())
+
+    def fault(image: NDArray[np.float32], *_: object, **__: object) -> str:
+        return "there is no border between row 1 and 2 of" if image.mean() > limit else ""
+
+    monkeypatch.setattr("pv_inspect.frame_detection.grid_fault", fault)
+    if faulty == 2:
+        crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+        assert [frame.why == "" for frame in crossings.frames] == [False, False, True, True, True]
+        return
+    with pytest.raises(InspectionError, match=r"3 of 5 frames speak against .* check rows"):
+        _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
+
+
+def test_cells_of_another_shape_than_given_are_refused(
+    small_sequence: tuple[SimulatedSequence, Path],
+) -> None:
+    frames = _in_memory(_floats(small_sequence[0])[:2])
+    with pytest.raises(InspectionError, match="--rows 4 --cols 6 --cell-aspect 1"):
+        _finish(detect(frames, ModuleLayout(4, 6, 2.0)))
 
 
 def test_a_black_beginning_does_not_refuse_the_layout(
