@@ -88,10 +88,12 @@ class SensorRays:
         return cls(xy, per_px)
 
     def cut(self, window: tuple[slice, slice]) -> SensorRays:
-        """Rays of a part of the sensor, given as [row, col] slices."""
-        return SensorRays(
-            np.ascontiguousarray(self.xy[window]), np.ascontiguousarray(self.per_px[window])
-        )
+        """Rays of a part of the sensor, given as [row, col] slices: a view, nothing is copied."""
+        return SensorRays(self.xy[window], self.per_px[window])
+
+    def contiguous(self) -> SensorRays:
+        """Return the same rays side by side in memory, as compiled code wants them."""
+        return SensorRays(np.ascontiguousarray(self.xy), np.ascontiguousarray(self.per_px))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,7 @@ class ObservationModel:
         dtype: np.dtype[np.floating] | type[np.floating] = np.float64,
     ) -> MovingFrame:
         """Return S_i of a frame with motion blur as positions."""
-        rays = self.rays
+        rays = self.rays.contiguous()
         return MovingFrame.build(
             self.to_hr(H),
             rays.xy,
@@ -304,7 +306,7 @@ class NormalEquations:
             Rays of g if it is only a part of the frame; default: those of the model.
         """
         model = self.model if rays is None else replace(self.model, rays=rays)
-        rays = model.rays
+        rays = model.rays.contiguous()
         if model.samples(motion) > 1:
             self._add_moving(model, H, g, weights, motion)
             return

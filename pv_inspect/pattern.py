@@ -149,7 +149,8 @@ def columns_of_frames(sums: ResidualSums) -> Array:
     derivative of what it shows: those are projected out of the columns' profile.
     """
     halves: list[list[Estimate]] = [[], []]
-    for frame in sums.bands.astype(np.float64):
+    for bands in sums.bands:
+        frame = bands.astype(np.float64)
         whole = frame.sum(axis=1)
         known = whole[COUNT] > 0
         p0 = np.divide(whole[LIGHT], whole[COUNT], out=np.zeros_like(whole[0]), where=known)
@@ -195,8 +196,8 @@ def pixel_gains(sums: ResidualSums) -> Array:
         Without the mean over a column, which is `fixed_columns`' own.
     """
     halves = []
-    for half in sums.pixels.astype(np.float64):
-        light2, product = half[LIGHT2], half[PRODUCT]
+    for half in sums.pixels:
+        light2, product = half[LIGHT2].astype(np.float64), half[PRODUCT].astype(np.float64)
         known = light2 > 0
         if not known.any():
             return np.zeros(light2.shape)

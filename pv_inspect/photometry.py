@@ -210,11 +210,11 @@ def estimate_photometry(
     columns, gains = np.zeros((used.size, sequence.shape[1])), np.zeros(sequence.shape)
     if apart_across > _LEAST_DISTANCE:
         offset, gain_of_columns = fixed_columns(sums, across)
-        sums = sums.without_columns(offset, gain_of_columns)
+        sums.take_out_columns(offset, gain_of_columns)
         columns += offset
         gains += gain_of_columns
         of_frames = columns_of_frames(sums)
-        sums = sums.without_columns(of_frames, np.zeros_like(gain_of_columns))
+        sums.take_out_columns(of_frames, np.zeros_like(gain_of_columns))
         columns += of_frames
     gains += pixel_gains(sums)
     yield (used.size + 1) / (used.size + 2)

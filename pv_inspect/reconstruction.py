@@ -192,6 +192,7 @@ def reconstruct(
     weight, curve = settings.prior_weight, _NO_CURVE
     if weight is None:
         weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
+    del trials  # of hundreds of frames more than the module image itself
     made = yield from solve(data, start, weight, settings)
     return replace(made, lambda_curve=curve)
 

@@ -71,8 +71,10 @@ class ResidualSums:
             self.pixels[int(half), k] += term
             self.bands[index, k] = np.add.reduceat(term, starts, axis=0)
 
-    def without_columns(self, offset: Array, gain: Array) -> ResidualSums:
-        """Return the sums of what is left of the residuals after ``offset + gain p`` per column.
+    def take_out_columns(self, offset: Array, gain: Array) -> None:
+        """Take ``offset + gain p`` per column out of the residuals that are summed up.
+
+        In place and frame by frame: of many or large frames the bands take a gigabyte.
 
         Parameters
         ----------
@@ -80,12 +82,12 @@ class ResidualSums:
             The offsets of single frames leave the sums over frames as they are.
         gain : (width,) float64
         """
-        bands, pixels = self.bands.copy(), self.pixels.copy()
+        of_frames = np.broadcast_to(offset, (len(self.bands), self.bands.shape[-1]))
         fixed = offset if offset.ndim == 1 else np.zeros(offset.shape[1])
-        for sums, per_column in ((bands, np.atleast_2d(offset)[:, None]), (pixels, fixed)):
-            sums[:, MISFIT] -= per_column * sums[:, COUNT] + gain * sums[:, LIGHT]
-            sums[:, PRODUCT] -= per_column * sums[:, LIGHT] + gain * sums[:, LIGHT2]
-        return ResidualSums(bands, pixels)
+        parts = [*zip(self.bands, of_frames, strict=True), *((half, fixed) for half in self.pixels)]
+        for sums, per_column in parts:
+            sums[MISFIT] -= per_column * sums[COUNT] + gain * sums[LIGHT]
+            sums[PRODUCT] -= per_column * sums[LIGHT] + gain * sums[LIGHT2]
 
 
 def halves_along(positions: Array, direction: Array) -> tuple[NDArray[np.bool_], float]:

@@ -88,7 +88,7 @@ def estimate_vignetting(
     if n < _LEAST_FRAMES:
         return Vignetting()
     best = Vignetting()
-    relative = [_relative_blocks(frame) for frame in sums.bands.astype(np.float64)]
+    relative = [_relative_blocks(frame.astype(np.float64)) for frame in sums.bands]
     for terms in (1, 2):
         normal, right, rest = np.zeros((n, terms, terms)), np.zeros((n, terms)), []
         for i, (weight, value, inverse_light) in enumerate(relative):

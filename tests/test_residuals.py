@@ -53,7 +53,8 @@ def test_taking_columns_out_of_the_sums_is_taking_them_out_of_the_residuals() ->
     rng = np.random.default_rng(2)
     offset, gain = rng.normal(0, 0.1, SHAPE[1]), rng.normal(0, 0.1, SHAPE[1])
     corrected = [(p, (r - offset - gain * p).astype(np.float32), w) for p, r, w in parts]
-    left, expected = summed(parts).without_columns(offset, gain), summed(corrected)
+    left, expected = summed(parts), summed(corrected)
+    left.take_out_columns(offset, gain)
     np.testing.assert_allclose(left.bands, expected.bands, atol=1e-4)
     np.testing.assert_allclose(left.pixels, expected.pixels, atol=1e-4)
 
@@ -64,7 +65,8 @@ def test_offsets_of_single_frames_leave_their_bands_only() -> None:
     corrected = [
         (p, (r - o).astype(np.float32), w) for (p, r, w), o in zip(parts, offset, strict=True)
     ]
-    left = summed(parts).without_columns(offset, np.zeros(SHAPE[1]))
+    left = summed(parts)
+    left.take_out_columns(offset, np.zeros(SHAPE[1]))
     np.testing.assert_allclose(left.bands, summed(corrected).bands, atol=1e-4)
     np.testing.assert_array_equal(left.pixels, summed(parts).pixels)
 
