@@ -20,7 +20,14 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.motion import samples_of
 
-__all__ = ["available_bytes", "expected_grid", "need_memory", "needed_bytes", "require_memory"]
+__all__ = [
+    "available_bytes",
+    "expected_grid",
+    "need_memory",
+    "needed_bytes",
+    "release",
+    "require_memory",
+]
 
 Array = NDArray[np.float64]
 
@@ -143,6 +150,18 @@ def require_memory(shape: tuple[int, int], grid: HrGrid, motion: Array | None = 
         f"(frames of {shape[1]} x {shape[0]}, module image of {grid.shape[1]} x {grid.shape[0]} at "
         f"magnification {grid.magnification:.1f}): {advice}, or close other programs."
     )
+
+
+def release() -> None:
+    """Hand free pages back to the system, in a few milliseconds.
+
+    glibc keeps what was freed between pieces that live on, frames in the cache above all: pass
+    after pass over many frames the process would grow. Other systems hand it back by themselves.
+    """
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
 
 
 def available_bytes() -> int | None:

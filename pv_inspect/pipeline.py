@@ -25,7 +25,7 @@ from pv_inspect.generators import relayed, result_of
 from pv_inspect.homography_registration import register_by_homography
 from pv_inspect.layout import ModuleLayout
 from pv_inspect.layout_guess import guess_layout, is_known
-from pv_inspect.memory import need_memory
+from pv_inspect.memory import need_memory, release
 from pv_inspect.notebook import in_notebook
 from pv_inspect.reconstruction import Reconstruction, reconstruct
 from pv_inspect.registration import Registration, register
@@ -274,6 +274,7 @@ def inspect(
                         inner, message, preview = next(work)
                 except StopIteration as end:
                     part: Part = end.value
+                    release()
                     spent += perf_counter() - begun
                     break
                 spent += perf_counter() - begun

@@ -14,7 +14,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.generators import relayed
 from pv_inspect.held_out import Trial, choose_prior_weight, typical_prior_weight, windows_of
 from pv_inspect.layout import HrGrid
-from pv_inspect.memory import require_memory
+from pv_inspect.memory import release, require_memory
 from pv_inspect.motion import length_and_angle
 from pv_inspect.motion_estimation import estimate_motion
 from pv_inspect.observation import SensorRays
@@ -181,6 +181,7 @@ def reconstruct(
         first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
         photometry, look = yield from _first_look(first, used, settings)
         del first
+        release()
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
         sigma = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
@@ -193,6 +194,7 @@ def reconstruct(
     if weight is None:
         weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
     del trials  # of hundreds of frames more than the module image itself
+    release()
     made = yield from solve(data, start, weight, settings)
     return replace(made, lambda_curve=curve)
 

@@ -20,6 +20,7 @@ from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.frame_copies import copies_told
 from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.memory import release
 from pv_inspect.module_choice import choose_module
 from pv_inspect.sequence import Sequence
 from pv_inspect.settings import Settings
@@ -177,6 +178,7 @@ def register(
     total = len(ROUNDS) * len(sequence)
     done = 0
     for number, plan in enumerate(ROUNDS):
+        release()
         if number == len(ROUNDS) - 1:
             free = settings.kappa is None and settings.calibration_file is None
             slack = KAPPA_SLACK * calibration.kappa_std if free else 0.0
