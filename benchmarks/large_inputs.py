@@ -70,16 +70,15 @@ class Case:
     def estimates(self, sequence: Path, result: Path) -> tuple[float, float]:
         """GiB that were expected before the module was found, and with its size known."""
         opened = Sequence.open(sequence)
-        first = needed_bytes(
-            opened.shape, expected_grid(opened.frame(0).image, LAYOUT, self.magnification)
-        )
+        seen = expected_grid(opened.frame(0).image, LAYOUT, self.magnification)
+        first = needed_bytes(opened.shape, self.frames, seen)
         image = result / "module_hr.tif"
         if not image.exists():
             return first / GIB, float("nan")
         height = tifffile.imread(image).shape[0]
         scale = height / (LAYOUT.size[1] + 2 * MARGIN) / self.magnification
         known = HrGrid.covering(LAYOUT, scale, self.magnification, MARGIN)
-        return first / GIB, needed_bytes(opened.shape, known) / GIB
+        return first / GIB, needed_bytes(opened.shape, self.frames, known) / GIB
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pv_inspect.errors import InspectionError
 from pv_inspect.layout import HrGrid, ModuleLayout
 from pv_inspect.motion import samples_of
+from pv_inspect.sequence import cached_frames
 
 __all__ = [
     "available_bytes",
@@ -36,14 +37,25 @@ Array = NDArray[np.float64]
 # extrapolated. The libraries; per pixel of a frame (rays, poses); per HR pixel (stencil, solver,
 # support).
 _LIBRARIES = 300 * 2**20
-_PER_LR_PIXEL = 110
+_PER_LR_PIXEL = 70
 _PER_HR_PIXEL = 155
+# The cache of frames, per pixel and frame.
+_PER_CACHED_PIXEL = 5
 # Positions of the pixels of a frame with motion blur, per pixel on the module.
 _PER_MOVING_PIXEL = 40
 # The window for the PSF is looked for at this magnification whatever is wanted.
 _PSF_MAGNIFICATION, _PER_PSF_PIXEL = 4.0, 22
-# Registration, per pixel of a frame: rays and their derivation, images of the module.
-_PER_REGISTERED_PIXEL = 350
+# Registration, per pixel of a frame: rays and their derivation, images of the module; per frame and
+# detail of a cell, its share in the comparison of all frames with each other.
+_PER_REGISTERED_PIXEL, _PER_COMPARED = 310, 400_000
+# Motion blur is looked for in so many frames at a time, rectified at this magnification.
+_MOTION_FRAMES, _MOTION_MAGNIFICATION, _PER_RECTIFIED_PIXEL = 24, 1.5, 4
+# The sensor: its residuals in bands of 16 rows, five sums of 4 bytes, per frame and pixel; sums
+# over the frames, per pixel of a frame; the equations of the first look, per HR pixel.
+_PER_BAND_PIXEL, _PER_SUMMED_PIXEL, _PER_LOOK_PIXEL = 5 * 4 / 16, 120, 80
+# What every frame shows of the windows in which lambda is chosen, bytes: three windows of 48 LR px
+# and a rim, intensities and weights, split, and the places of a fifth of the pixels for two PSFs.
+_PER_VIEW = 3 * 58**2 * 34
 _GIB = 2.0**30
 # Bright: this share of the way from the dark to the bright pixels of a frame.
 _BRIGHT = 0.3
@@ -51,19 +63,22 @@ _BRIGHT = 0.3
 _UNLIMITED = 2**60
 
 
-def needed_bytes(shape: tuple[int, int], grid: HrGrid, motion: Array | None = None) -> float:
+def needed_bytes(
+    shape: tuple[int, int], n_frames: int, grid: HrGrid, motion: Array | None = None
+) -> float:
     """Estimate the largest memory that a run takes, libraries included.
 
     Parameters
     ----------
     shape : (height, width)
         Of a frame.
+    n_frames : int
+        Frames are read again when they are needed, but something is kept of each.
     grid : HrGrid
         Of the module image.
     motion : (n_frames, 2) float64, optional
         Path of every frame during its exposure, LR px, once it is known: of frames with motion blur
-        all positions are kept. The number of the others does not matter, they are read again when
-        they are needed.
+        all positions are kept.
 
     Returns
     -------
@@ -71,17 +86,27 @@ def needed_bytes(shape: tuple[int, int], grid: HrGrid, motion: Array | None = No
         Bytes.
     """
     lr_pixels = float(shape[0] * shape[1])
+    lr_kept = _PER_LR_PIXEL + _PER_CACHED_PIXEL * min(n_frames, cached_frames(shape))
     hr_pixels = float(grid.shape[0] * grid.shape[1])
     psf_pixels = hr_pixels * (_PSF_MAGNIFICATION / grid.magnification) ** 2
     paths = np.zeros((0, 2)) if motion is None else motion
     n_moving = sum(samples_of(path, grid.magnification) > 1 for path in paths)
     moving = _PER_MOVING_PIXEL * n_moving * hr_pixels / grid.magnification**2
-    stages = (
-        _PER_REGISTERED_PIXEL * lr_pixels,
-        _PER_LR_PIXEL * lr_pixels + _PER_PSF_PIXEL * psf_pixels,
-        _PER_LR_PIXEL * lr_pixels + _PER_HR_PIXEL * hr_pixels + moving,
-    )
-    return _LIBRARIES + max(stages)
+    rectified = hr_pixels * (_MOTION_MAGNIFICATION / grid.magnification) ** 2
+    stages = {
+        "registration": _PER_REGISTERED_PIXEL * lr_pixels
+        + (lr_kept - _PER_LR_PIXEL) * lr_pixels
+        + _PER_COMPARED * n_frames,
+        "motion": lr_kept * lr_pixels
+        + _PER_RECTIFIED_PIXEL * min(n_frames, _MOTION_FRAMES) * rectified,
+        "sensor": (lr_kept + _PER_SUMMED_PIXEL + _PER_BAND_PIXEL * n_frames) * lr_pixels
+        + _PER_LOOK_PIXEL * hr_pixels
+        + moving,
+        "psf": lr_kept * lr_pixels + _PER_PSF_PIXEL * psf_pixels,
+        "lambda": lr_kept * lr_pixels + _PER_LOOK_PIXEL * hr_pixels + _PER_VIEW * n_frames + moving,
+        "image": lr_kept * lr_pixels + _PER_HR_PIXEL * hr_pixels + moving,
+    }
+    return _LIBRARIES + max(stages.values())
 
 
 def expected_grid(frame: NDArray[np.float32], layout: ModuleLayout, magnification: float) -> HrGrid:
@@ -101,13 +126,17 @@ def expected_grid(frame: NDArray[np.float32], layout: ModuleLayout, magnificatio
     return HrGrid.covering(layout, max(unit, 1e-3), magnification)
 
 
-def need_memory(frame: NDArray[np.float32], layout: ModuleLayout, magnification: float) -> None:
+def need_memory(
+    frame: NDArray[np.float32], n_frames: int, layout: ModuleLayout, magnification: float
+) -> None:
     """Refuse work that will not fit into memory, before the module is found.
 
     Parameters
     ----------
     frame, layout, magnification
         See `expected_grid`.
+    n_frames : int
+        See `needed_bytes`.
 
     Raises
     ------
@@ -115,15 +144,17 @@ def need_memory(frame: NDArray[np.float32], layout: ModuleLayout, magnification:
         As `require_memory`.
     """
     height, width = frame.shape
-    require_memory((height, width), expected_grid(frame, layout, magnification))
+    require_memory((height, width), n_frames, expected_grid(frame, layout, magnification))
 
 
-def require_memory(shape: tuple[int, int], grid: HrGrid, motion: Array | None = None) -> None:
+def require_memory(
+    shape: tuple[int, int], n_frames: int, grid: HrGrid, motion: Array | None = None
+) -> None:
     """Refuse work that does not fit into memory.
 
     Parameters
     ----------
-    shape, grid, motion
+    shape, n_frames, grid, motion
         See `needed_bytes`.
 
     Raises
@@ -135,19 +166,19 @@ def require_memory(shape: tuple[int, int], grid: HrGrid, motion: Array | None = 
     if free is None:
         return
     free += _taken_bytes()
-    needed = needed_bytes(shape, grid, motion)
+    needed = needed_bytes(shape, n_frames, grid, motion)
     if needed <= free:
         return
     scale = grid.pixels_per_unit / grid.magnification
-    advice = "use a machine with more memory or frames of fewer pixels"
+    advice = "use a machine with more memory, fewer frames or frames of fewer pixels"
     for step in range(int(10 * grid.magnification) - 1, 9, -1):
         smaller = HrGrid.covering(grid.layout, scale, step / 10)
-        if needed_bytes(shape, smaller, motion) <= free:
+        if needed_bytes(shape, n_frames, smaller, motion) <= free:
             advice = f"lower the magnification to {step / 10:g}"
             break
     raise InspectionError(
         f"This run needs about {needed / _GIB:.1f} GiB of memory, {free / _GIB:.1f} GiB are free "
-        f"(frames of {shape[1]} x {shape[0]}, module image of {grid.shape[1]} x {grid.shape[0]} at "
+        f"({n_frames} frames of {shape[1]} x {shape[0]}, module image of {grid.shape[1]} x {grid.shape[0]} at "
         f"magnification {grid.magnification:.1f}): {advice}, or close other programs."
     )
 

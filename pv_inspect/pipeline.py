@@ -328,7 +328,8 @@ def _run_stage(stage: Stage, state: Inspection) -> Generator[_Event, None, Part]
     """Run one stage; yields (fraction of the stage, message, preview)."""
     sequence, settings = state.sequence, state.settings
     if stage is Stage.DETECT:
-        need_memory(sequence.frame(0).image, state.layout, settings.magnification)
+        frame = sequence.frame(0).image
+        need_memory(frame, len(sequence), state.layout, settings.magnification)
         steps = detect(sequence, state.layout, settings.module_at)
         return (yield from _told(steps, "looking for the cell crossings"))
     if stage is Stage.CALIBRATE:

@@ -173,7 +173,7 @@ def reconstruct(
     if settings.motion_blur == "auto":
         yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
-    require_memory(sequence.shape, grid, motion)
+    require_memory(sequence.shape, int(used.size), grid, motion)
     photometry: Photometry | None = None
     look: Image | None = None
     if settings.second_look:

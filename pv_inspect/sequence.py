@@ -31,7 +31,7 @@ from pv_inspect.sensor import (
 from pv_inspect.settings import Settings
 from pv_inspect.sidecar import read_sidecar
 
-__all__ = ["Frame", "NoiseModel", "Sequence"]
+__all__ = ["Frame", "NoiseModel", "Sequence", "cached_frames"]
 
 Raw = NDArray[np.unsignedinteger]
 
@@ -59,6 +59,11 @@ class Frame:
 
     image: NDArray[np.float32]
     valid: NDArray[np.bool_]
+
+
+def cached_frames(shape: tuple[int, int]) -> int:
+    """Return how many frames of a shape (height, width) are kept ready for use, 5 bytes a pixel."""
+    return int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
 
 
 class _FrameCache:
@@ -224,7 +229,6 @@ class Sequence:
             for raw in stack[:: max(1, len(stack) // 8)]
         ]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
-        capacity = int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
         return cls(
             names,
             shape,
@@ -237,7 +241,7 @@ class Sequence:
             defects,
             files,
             black,
-            _FrameCache(capacity),
+            _FrameCache(cached_frames(shape)),
             flat,
             root.absolute()
             if isinstance(source, (str, Path))

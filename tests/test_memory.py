@@ -22,14 +22,33 @@ def grid(magnification: float) -> HrGrid:
 
 
 def test_the_module_image_decides_at_high_magnification() -> None:
-    few, many = (needed_bytes(SHAPE, grid(m)) for m in (3.0, 6.0))
+    few, many = (needed_bytes(SHAPE, 8, grid(m)) for m in (3.0, 6.0))
     assert 3.5 < many / few < 4.0
 
 
 def test_frames_with_motion_blur_keep_their_positions() -> None:
     still, moving = np.zeros((20, 2)), np.full((20, 2), 3.0)
-    assert needed_bytes(SHAPE, grid(2.0), still) == needed_bytes(SHAPE, grid(2.0))
-    assert needed_bytes(SHAPE, grid(2.0), moving) > needed_bytes(SHAPE, grid(2.0), still) + 4e9
+    known = needed_bytes(SHAPE, 20, grid(2.0), still)
+    assert known == needed_bytes(SHAPE, 20, grid(2.0))
+    assert needed_bytes(SHAPE, 20, grid(2.0), moving) > known + 4e9
+
+
+def test_something_is_kept_of_every_frame() -> None:
+    small = HrGrid.covering(LAYOUT, 58.0, 2.0)
+    needed = [needed_bytes((512, 640), n, small) for n in (8, 50, 100, 300, 3000)]
+    assert needed == sorted(needed)
+    # The sums in bands of every frame, 1.25 bytes a pixel.
+    assert needed[-1] - needed[-2] == pytest.approx(2700 * 1.25 * 512 * 640, rel=0.01)
+
+
+def test_large_sequences_are_refused_by_the_number_of_their_frames(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(memory, "available_bytes", lambda: int(10 * GIB))
+    monkeypatch.setattr(memory, "_taken_bytes", lambda: 0)
+    memory.require_memory(SHAPE, 20, grid(2.0))
+    with pytest.raises(InspectionError, match=r"needs about \d+\.\d GiB .* \(2000 frames of"):
+        memory.require_memory(SHAPE, 2000, grid(2.0))
 
 
 def test_the_size_of_the_module_image_is_seen_in_a_frame() -> None:
@@ -54,11 +73,11 @@ def test_what_does_not_fit_is_refused_with_the_magnification_that_does(
     with pytest.raises(
         InspectionError, match=r"needs about 2\d\.\d GiB .* 6\.0 GiB are free"
     ) as no:
-        memory.require_memory(SHAPE, grid(4.0))
+        memory.require_memory(SHAPE, 8, grid(4.0))
     advised = float(str(no.value).split("lower the magnification to ")[1].split(",")[0])
-    memory.require_memory(SHAPE, grid(advised))
+    memory.require_memory(SHAPE, 8, grid(advised))
     with pytest.raises(InspectionError):
-        memory.require_memory(SHAPE, grid(advised + 0.2))
+        memory.require_memory(SHAPE, 8, grid(advised + 0.2))
     assert len(str(no.value)) < 380
 
 
@@ -66,14 +85,14 @@ def test_where_no_magnification_fits_that_is_said(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(memory, "available_bytes", lambda: int(0.2 * GIB))
     monkeypatch.setattr(memory, "_taken_bytes", lambda: 0)
     with pytest.raises(InspectionError, match="use a machine with more memory"):
-        need_memory(np.ones(SHAPE, np.float32), LAYOUT, 4.0)
+        need_memory(np.ones(SHAPE, np.float32), 8, LAYOUT, 4.0)
 
 
 def test_a_system_that_says_nothing_is_believed_to_have_enough(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(memory, "available_bytes", lambda: None)
-    memory.require_memory(SHAPE, grid(6.0))
+    memory.require_memory(SHAPE, 8, grid(6.0))
 
 
 def test_the_group_of_a_container_limits_memory_its_file_cache_does_not(tmp_path: Path) -> None:
