@@ -178,8 +178,9 @@ def require_memory(
             break
     raise InspectionError(
         f"This run needs about {needed / _GIB:.1f} GiB of memory, {free / _GIB:.1f} GiB are free "
-        f"({n_frames} frames of {shape[1]} x {shape[0]}, module image of {grid.shape[1]} x {grid.shape[0]} at "
-        f"magnification {grid.magnification:.1f}): {advice}, or close other programs."
+        f"({n_frames} frames of {shape[1]} x {shape[0]}, module image of {grid.shape[1]} x "
+        f"{grid.shape[0]} at magnification {grid.magnification:.1f}): {advice}, or close other "
+        "programs."
     )
 
 
