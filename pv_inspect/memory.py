@@ -45,9 +45,11 @@ _PER_CACHED_PIXEL = 5
 _PER_MOVING_PIXEL = 40
 # The window for the PSF is looked for at this magnification whatever is wanted.
 _PSF_MAGNIFICATION, _PER_PSF_PIXEL = 4.0, 22
-# Registration, per pixel of a frame: rays and their derivation, images of the module; per frame and
-# detail of a cell, its share in the comparison of all frames with each other.
-_PER_REGISTERED_PIXEL, _PER_COMPARED = 310, 400_000
+# Registration, per pixel of a frame: rays and their derivation, images of the module.
+_PER_REGISTERED_PIXEL = 310
+# Whatever else grows with the number of frames, bytes: the details of their cells, records, and
+# what the allocator does not get back. Of 300 frames of 0.33 million pixels, 0.8 million each.
+_PER_FRAME = 1_000_000
 # Motion blur is looked for in so many frames at a time, rectified at this magnification.
 _MOTION_FRAMES, _MOTION_MAGNIFICATION, _PER_RECTIFIED_PIXEL = 24, 1.5, 4
 # The sensor: its residuals in bands of 16 rows, five sums of 4 bytes, per frame and pixel; sums
@@ -86,7 +88,7 @@ def needed_bytes(
         Bytes.
     """
     lr_pixels = float(shape[0] * shape[1])
-    lr_kept = _PER_LR_PIXEL + _PER_CACHED_PIXEL * min(n_frames, cached_frames(shape))
+    lr_kept = _PER_LR_PIXEL + _PER_CACHED_PIXEL * cached_frames(n_frames, shape)
     hr_pixels = float(grid.shape[0] * grid.shape[1])
     psf_pixels = hr_pixels * (_PSF_MAGNIFICATION / grid.magnification) ** 2
     paths = np.zeros((0, 2)) if motion is None else motion
@@ -94,9 +96,7 @@ def needed_bytes(
     moving = _PER_MOVING_PIXEL * n_moving * hr_pixels / grid.magnification**2
     rectified = hr_pixels * (_MOTION_MAGNIFICATION / grid.magnification) ** 2
     stages = {
-        "registration": _PER_REGISTERED_PIXEL * lr_pixels
-        + (lr_kept - _PER_LR_PIXEL) * lr_pixels
-        + _PER_COMPARED * n_frames,
+        "registration": _PER_REGISTERED_PIXEL * lr_pixels + (lr_kept - _PER_LR_PIXEL) * lr_pixels,
         "motion": lr_kept * lr_pixels
         + _PER_RECTIFIED_PIXEL * min(n_frames, _MOTION_FRAMES) * rectified,
         "sensor": (lr_kept + _PER_SUMMED_PIXEL + _PER_BAND_PIXEL * n_frames) * lr_pixels
@@ -106,7 +106,7 @@ def needed_bytes(
         "lambda": lr_kept * lr_pixels + _PER_LOOK_PIXEL * hr_pixels + _PER_VIEW * n_frames + moving,
         "image": lr_kept * lr_pixels + _PER_HR_PIXEL * hr_pixels + moving,
     }
-    return _LIBRARIES + max(stages.values())
+    return _LIBRARIES + _PER_FRAME * n_frames + max(stages.values())
 
 
 def expected_grid(frame: NDArray[np.float32], layout: ModuleLayout, magnification: float) -> HrGrid:

@@ -39,7 +39,7 @@ _SMALLEST_SIDE_PX = 32
 # Frames that the sensor's properties are estimated from; more add time, not knowledge.
 _SAMPLE_FRAMES = 24
 _SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
-_CACHED_FRAMES = 64
+_CACHED_FRAMES, _LAST_FRAMES = 64, 8
 _CACHED_BYTES = 128 * 2**20
 
 
@@ -61,9 +61,14 @@ class Frame:
     valid: NDArray[np.bool_]
 
 
-def cached_frames(shape: tuple[int, int]) -> int:
-    """Return how many frames of a shape (height, width) are kept ready for use, 5 bytes a pixel."""
-    return int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
+def cached_frames(n_frames: int, shape: tuple[int, int]) -> int:
+    """Return how many of the frames, (height, width), are kept ready for use, 5 bytes a pixel.
+
+    All of them, or the last few: of a pass over more frames than are kept, none is there any more
+    when the next pass comes to it.
+    """
+    fitting = int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
+    return n_frames if n_frames <= fitting else min(fitting, _LAST_FRAMES)
 
 
 class _FrameCache:
@@ -241,7 +246,7 @@ class Sequence:
             defects,
             files,
             black,
-            _FrameCache(cached_frames(shape)),
+            _FrameCache(cached_frames(len(names), shape)),
             flat,
             root.absolute()
             if isinstance(source, (str, Path))
