@@ -33,9 +33,9 @@ __all__ = [
 Array = NDArray[np.float64]
 
 # Fitted to the peaks of runs of 8 frames with 0.33 and 1.3 million pixels and module images of 3.5
-# and 14 million: 0.97 to 1.04 of what was measured (benchmarks/large_inputs.py); larger ones are
-# extrapolated. The libraries; per pixel of a frame (rays, poses); per HR pixel (stencil, solver,
-# support).
+# and 14 million, and of 100 frames with 0.33 million: 0.97 to 1.07 of what was measured
+# (benchmarks/large_inputs.py); larger ones are extrapolated. The libraries; per pixel of a frame
+# (rays, poses); per HR pixel (stencil, solver, support).
 _LIBRARIES = 300 * 2**20
 _PER_LR_PIXEL = 70
 _PER_HR_PIXEL = 155
@@ -48,8 +48,8 @@ _PSF_MAGNIFICATION, _PER_PSF_PIXEL = 4.0, 22
 # Registration, per pixel of a frame: rays and their derivation, images of the module.
 _PER_REGISTERED_PIXEL = 310
 # Whatever else grows with the number of frames, bytes: the details of their cells, records, and
-# what the allocator does not get back. Of 300 frames of 0.33 million pixels, 0.8 million each.
-_PER_FRAME = 1_000_000
+# what the allocator does not get back.
+_PER_FRAME = 400_000
 # Motion blur is looked for in so many frames at a time, rectified at this magnification.
 _MOTION_FRAMES, _MOTION_MAGNIFICATION, _PER_RECTIFIED_PIXEL = 24, 1.5, 4
 # The sensor: its residuals in bands of 16 rows, five sums of 4 bytes, per frame and pixel; sums
