@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pv_inspect.calibration import Calibration, calibrate
-from pv_inspect.camera import Camera
-from pv_inspect.crossings import Crossings, FrameCrossings
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.calibration.calibrate import Calibration, calibrate
+from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.settings import Settings
 
 Array = NDArray[np.float64]

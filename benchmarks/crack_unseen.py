@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.cracks.labelled import LabelledCell
+from pv_inspect.cracks.training.labelled import LabelledCell
 
 Image = NDArray[np.float32]
 

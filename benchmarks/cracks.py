@@ -31,6 +31,7 @@ from crack_visibility import lines_of, pieces
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
+from pv_inspect.common.work import result_of
 from pv_inspect.cracks import (
     CrackDetector,
     NetworkDetector,
@@ -41,13 +42,12 @@ from pv_inspect.cracks import (
 from pv_inspect.cracks.centreline import skeleton_length
 from pv_inspect.cracks.features import measure_cell
 from pv_inspect.cracks.isolation import Busbars, isolated_share
-from pv_inspect.cracks.judging import alarms, as_they_are, degraded
-from pv_inspect.cracks.labelled import LabelledCell, read_labelled, split_modules
-from pv_inspect.cracks.reliability import reliability
-from pv_inspect.cracks.scores import coarse_score, pixel_score, roc_auc
-from pv_inspect.frame_files import FrameFile, read_frame
-from pv_inspect.generators import result_of
-from pv_inspect.results import Result, read_result
+from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled, split_modules
+from pv_inspect.cracks.training.labelled_maps import alarms, as_they_are, degraded
+from pv_inspect.cracks.training.reliability import reliability
+from pv_inspect.cracks.training.scores import coarse_score, pixel_score, roc_auc
+from pv_inspect.results.write import Result, read_result
+from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.settings import Settings
 
 Image = NDArray[np.float32]

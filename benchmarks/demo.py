@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import HrGrid
+from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.pipeline import Inspection, inspect
 from pv_inspect.progress import follow
-from pv_inspect.reconstruction import bicubic
-from pv_inspect.results import check_writable, write_result
-from pv_inspect.sequence import Sequence
+from pv_inspect.reconstruction.reconstruct import bicubic
+from pv_inspect.results.write import check_writable, write_result
+from pv_inspect.sequence.sequence import Sequence
 
 ROOT = Path(__file__).resolve().parents[1]
 Image = NDArray[np.float64]

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from pv_inspect.detection import detect
+from pv_inspect.detection.detect import detect
+from pv_inspect.detection.layout_guess import guess_layout
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import guess_layout
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.progress import follow_fraction
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 
 MUST_PX = 2.0
 

@@ -41,15 +41,15 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from pv_inspect.calibration import Calibration, calibrate
-from pv_inspect.camera import Camera
-from pv_inspect.detection import detect
+from pv_inspect.calibration.calibrate import Calibration, calibrate
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.homography_registration import register_by_homography
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.registration import Registration, module_mean, register
-from pv_inspect.sequence import Sequence
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.registration.homography import register_by_homography
+from pv_inspect.registration.register import Registration, module_mean, register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
 from pv_inspect.simulate.exposure import camera_matrix, choose_poses

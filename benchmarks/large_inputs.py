@@ -24,9 +24,9 @@ from pathlib import Path
 
 import tifffile
 
-from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.memory import expected_grid, needed_bytes
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 
 LAYOUT = ModuleLayout(6, 10)

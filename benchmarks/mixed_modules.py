@@ -26,13 +26,13 @@ from time import process_time
 import numpy as np
 import tifffile
 
-from pv_inspect.calibration import calibrate
-from pv_inspect.detection import detect
+from pv_inspect.calibration.calibrate import calibrate
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.module_choice import choose_module
-from pv_inspect.registration import register
-from pv_inspect.sequence import Sequence
+from pv_inspect.module_choice.choice import choose_module
+from pv_inspect.registration.register import register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (
     SimulationSettings,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from reconstruction_truth import solve, true_registration
 
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 

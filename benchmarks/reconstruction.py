@@ -35,14 +35,14 @@ from typing import Any, TypeVar
 import numpy as np
 import tifffile
 
-from pv_inspect.calibration import calibrate
-from pv_inspect.camera import Camera
-from pv_inspect.detection import detect
-from pv_inspect.generators import result_of
-from pv_inspect.preview import Preview, Region
-from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
-from pv_inspect.registration import Registration, register
-from pv_inspect.sequence import Sequence
+from pv_inspect.calibration.calibrate import calibrate
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.detect import detect
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.reconstruction.preview import Preview, Region
+from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
+from pv_inspect.registration.register import Registration, register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 

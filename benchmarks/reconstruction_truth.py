@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 import tifffile
 
-from pv_inspect.camera import Camera
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
-from pv_inspect.registration import Registration
-from pv_inspect.sequence import Sequence
+from pv_inspect.common.work import result_of
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 

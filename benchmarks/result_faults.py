@@ -29,13 +29,13 @@ from typing import Any
 
 import numpy as np
 
-from pv_inspect import folders
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.result_folder import reserve_result
-from pv_inspect.results import read_result, write_result
-from pv_inspect.resume import reopen, resume
+from pv_inspect.results.folder import reserve_result
+from pv_inspect.results.resume import reopen, resume
+from pv_inspect.results.write import read_result, write_result
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
+from pv_inspect.storage import folders
 
 FIRST = "earlier"
 KILLED = -signal.SIGKILL

@@ -32,7 +32,7 @@ from napari_pv_inspect.memory import few_arenas, left_alone
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.sample import sample_folder
 from pv_inspect.pipeline import Inspection, inspect, run_to_end
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 
 SIZE = (1280, 800)

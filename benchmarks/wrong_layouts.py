@@ -24,13 +24,13 @@ import cv2
 import numba
 import numpy as np
 
-from pv_inspect.camera import Camera
+from pv_inspect.detection.orientation import quarter_turn_sentence
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.orientation import quarter_turn_sentence
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import inspect
-from pv_inspect.registration import Registration
-from pv_inspect.sequence import Sequence
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 from pv_inspect.simulate.exposure import camera_matrix, choose_poses

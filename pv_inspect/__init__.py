@@ -5,7 +5,7 @@ The names below are loaded when they are first used: ``import pv_inspect`` itsel
 
 from __future__ import annotations
 
-from pv_inspect import starting
+from pv_inspect.common import starting
 
 if starting.is_the_command():  # before the other imports: a Ctrl-C may come at once
     starting.exit_at_once()
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pv_inspect.errors import InspectionError
     from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
-    from pv_inspect.sequence import Sequence
+    from pv_inspect.sequence.sequence import Sequence
     from pv_inspect.settings import Settings, Stage
 
 __version__ = "0.1.0"
@@ -41,7 +41,7 @@ __all__ = [
 _HOME = {
     "Inspection": "pipeline",
     "InspectionError": "errors",
-    "Sequence": "sequence",
+    "Sequence": "sequence.sequence",
     "Settings": "settings",
     "Stage": "settings",
     "Step": "pipeline",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pv_inspect import signals
+from pv_inspect.common import signals
 
 __all__ = ["main"]
 
@@ -10,7 +10,7 @@ __all__ = ["main"]
 def main() -> None:
     """Entry point of the command ``pv-inspect``."""
     signals.exit_at_once()  # before the imports, which take a second
-    from pv_inspect import cli
+    from pv_inspect.cli import app as cli
 
     cli.main()
 

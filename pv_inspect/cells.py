@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.layout import HrGrid
-from pv_inspect.reconstruction import Reconstruction
+from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.reconstruction.reconstruct import Reconstruction
 
 __all__ = ["CellTiles", "cut_cells"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pv_inspect.figures import known_median
-from pv_inspect.frame_copies import copies_sentence
-from pv_inspect.orientation import quarter_turn_sentence
+from pv_inspect.detection.orientation import quarter_turn_sentence
+from pv_inspect.reports.figures import known_median
+from pv_inspect.sequence.copies import copies_sentence
 
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.motion import samples_of
-from pv_inspect.sequence import cached_frames
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.motion_blur import samples_of
+from pv_inspect.sequence.sequence import cached_frames
 
 __all__ = [
     "available_bytes",

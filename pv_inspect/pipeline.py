@@ -13,25 +13,25 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pv_inspect.calibration import Calibration, calibrate
+from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.cells import CellTiles, cut_cells
-from pv_inspect.concurrency import in_turn
+from pv_inspect.common.parallel import in_turn
+from pv_inspect.common.solver_errors import in_words
+from pv_inspect.common.work import relayed, result_of
 from pv_inspect.cracks import CrackMap, read_cracks
-from pv_inspect.crossings import Crossings
-from pv_inspect.detection import detect
+from pv_inspect.detection.crossings import Crossings
+from pv_inspect.detection.detect import detect
+from pv_inspect.detection.layout_guess import guess_layout, is_known
 from pv_inspect.doubts import doubts_of, warnings_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import relayed, result_of
-from pv_inspect.homography_registration import register_by_homography
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import guess_layout, is_known
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.memory import need_memory, release
-from pv_inspect.notebook import in_notebook
-from pv_inspect.reconstruction import Reconstruction, reconstruct
-from pv_inspect.registration import Registration, register
-from pv_inspect.sequence import Sequence
+from pv_inspect.notebook.progress_bar import in_notebook
+from pv_inspect.reconstruction.reconstruct import Reconstruction, reconstruct
+from pv_inspect.registration.homography import register_by_homography
+from pv_inspect.registration.register import Registration, register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
-from pv_inspect.solver_errors import in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -177,19 +177,19 @@ class Inspection:
 
     def plot_grid(self, frame: int | None = None, ax: Axes | None = None) -> Axes:
         """Plot a frame with its crossing points and the fitted grid; see `plotting`."""
-        from pv_inspect.plotting import plot_grid
+        from pv_inspect.notebook.plots import plot_grid
 
         return plot_grid(self, frame, ax)
 
     def plot_cells(self, ax: Axes | None = None) -> Axes:
         """Plot the cells of the module with their cracks; see `plotting`."""
-        from pv_inspect.plotting import plot_cells
+        from pv_inspect.notebook.plots import plot_cells
 
         return plot_cells(self, ax)
 
     def plot_residuals(self, ax: Axes | None = None) -> Axes:
         """Plot the residual of every frame; see `plotting`."""
-        from pv_inspect.plotting import plot_residuals
+        from pv_inspect.notebook.plots import plot_residuals
 
         return plot_residuals(self, ax)
 
@@ -200,7 +200,7 @@ class Inspection:
         return f"<Inspection of {where!r}: {cells}; done: {', '.join(done) or 'nothing'}>"
 
     def _repr_html_(self) -> str:
-        from pv_inspect.display import inspection_html
+        from pv_inspect.notebook.display import inspection_html
 
         return inspection_html(self)
 

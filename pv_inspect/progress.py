@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Column
 
-from pv_inspect import signals
-from pv_inspect.compiling import cache_problem
-from pv_inspect.generators import relayed, result_of
-from pv_inspect.notebook import NotebookBar, in_notebook
+from pv_inspect.common import signals
+from pv_inspect.common.compiling import cache_problem
+from pv_inspect.common.work import relayed, result_of
+from pv_inspect.notebook.progress_bar import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step
 from pv_inspect.settings import Stage
 

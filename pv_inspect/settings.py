@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.config import JsonDict
 
+from pv_inspect.common.records import read_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
-from pv_inspect.records import read_text
 
 __all__ = ["Settings", "Stage"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pv_inspect.doubts import left_out
 from pv_inspect.errors import printable
-from pv_inspect.figures import RESIDUAL_MEANING, median_text
+from pv_inspect.reports.figures import RESIDUAL_MEANING, median_text
 
 if TYPE_CHECKING:
     from pv_inspect.pipeline import Inspection

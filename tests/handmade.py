@@ -9,15 +9,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pv_inspect.calibration import Calibration
-from pv_inspect.camera import Camera
+from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.cells import cut_cells
 from pv_inspect.cracks import CrackMap, measure_cell
-from pv_inspect.crossings import Crossings, FrameCrossings
-from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.pipeline import Inspection
-from pv_inspect.reconstruction import Reconstruction
-from pv_inspect.registration import Registration
+from pv_inspect.reconstruction.reconstruct import Reconstruction
+from pv_inspect.registration.register import Registration
 from pv_inspect.settings import Settings
 
 LAYOUT = ModuleLayout(2, 3)

@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pv_inspect.camera import Camera
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.observation import ObservationModel, SensorRays
-from pv_inspect.registration import Registration
-from pv_inspect.sequence import Frame, NoiseModel
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import ObservationModel, SensorRays
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import Frame, NoiseModel
 from pv_inspect.settings import Settings
 
 SHAPE = (64, 88)

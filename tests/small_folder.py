@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path, PurePath
 
-from pv_inspect.folders import replace_folder
+from pv_inspect.storage.folders import replace_folder
 
 MARKER = "result.json"
 NAMES = ("a.tif", "b.tif", MARKER)

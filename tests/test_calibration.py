@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.bundle import Bundle, Fit, View, focal_length
-from pv_inspect.calibration import (
+from pv_inspect.calibration.bundle_adjustment import Bundle, Fit, View, focal_length
+from pv_inspect.calibration.calibrate import (
     FOCAL_CONVENTION,
     Calibration,
     calibrate,
     focal_length_source,
 )
-from pv_inspect.camera import Camera
-from pv_inspect.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.settings import Settings
 
 SHAPE = (512, 640)

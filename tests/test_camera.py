@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.camera import Camera
 from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.camera import Camera
 
 EPS = np.finfo(float).eps
 K = np.array([[820.0, 0.0, 313.5], [0.0, 815.0, 260.5], [0.0, 0.0, 1.0]])

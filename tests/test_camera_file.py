@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.camera_file import read_camera
+from pv_inspect.calibration.camera_file import read_camera
+from pv_inspect.calibration.opencv_text import xml_entries, yaml_entries
 from pv_inspect.errors import InspectionError
-from pv_inspect.opencv_text import xml_entries, yaml_entries
 
 SHAPE = (512, 640)
 K = np.array([[800.0, 0, 313.5], [0, 802.0, 260.5], [0, 0, 1]])

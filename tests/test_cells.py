@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pv_inspect.cells import cut_cells
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.reconstruction import Reconstruction
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.reconstruction.reconstruct import Reconstruction
 
 
 def reconstruction(aspect: float) -> Reconstruction:

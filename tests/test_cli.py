@@ -16,11 +16,14 @@ import tifffile
 from typer.testing import CliRunner, Result
 
 import pv_inspect
-from pv_inspect import cli, cli_gui, folders, pipeline
+from pv_inspect import pipeline
+from pv_inspect.cli import app as cli
+from pv_inspect.cli import gui as cli_gui
 from pv_inspect.pipeline import Step
-from pv_inspect.results import read_result
+from pv_inspect.results.write import read_result
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import SimulationSettings, reserve_sequence
+from pv_inspect.storage import folders
 from tests.handmade import made_inspection
 
 

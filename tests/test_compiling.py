@@ -12,15 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect import compiling, progress
-from pv_inspect.compiling import cache_problem, compiled
+from pv_inspect import progress
+from pv_inspect.common import compiling
+from pv_inspect.common.compiling import cache_problem, compiled
 
-PACKAGE = Path(compiling.__file__).parent
+PACKAGE = Path(compiling.__file__).parents[1]
 # Compiles one small function, and follows work as the command line does.
 PROGRAM = """
 import numpy as np
 from pv_inspect.progress import follow_fraction
-from pv_inspect.stencil import dot
+from pv_inspect.observation.stencil import dot
 
 def work():
     yield 1.0

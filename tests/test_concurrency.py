@@ -10,9 +10,9 @@ import numba
 import numpy as np
 import pytest
 
-from pv_inspect import concurrency
-from pv_inspect.concurrency import in_turn, mapped
-from pv_inspect.stencil import dot
+from pv_inspect.common import parallel as concurrency
+from pv_inspect.common.parallel import in_turn, mapped
+from pv_inspect.observation.stencil import dot
 
 
 def test_the_order_is_kept_and_no_thread_lives_on() -> None:
@@ -71,9 +71,9 @@ def test_a_cell_is_shown_while_a_run_goes_on_without_openmp() -> None:
     # numba ends the process if two threads come together: so it needs one of its own.
     script = """
 from threading import Thread
-from pv_inspect.concurrency import in_turn
-from pv_inspect.preview import Preview, Region
-from pv_inspect.reconstruction import reconstruct
+from pv_inspect.common.parallel import in_turn
+from pv_inspect.reconstruction.preview import Preview, Region
+from pv_inspect.reconstruction.reconstruct import reconstruct
 from tests.recording import recording, settings_with
 
 sequence, registration, _ = recording(6)

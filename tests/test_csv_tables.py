@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from pv_inspect.cli import app
+from pv_inspect.cli.app import app
+from pv_inspect.common.csv_tables import csv_lines, csv_text, guarded, unguarded
 from pv_inspect.cracks import CellFeatures
-from pv_inspect.csv_tables import csv_lines, csv_text, guarded, unguarded
-from pv_inspect.frame_files import natural_key
 from pv_inspect.review import Verdict, VerdictKind, verdicts_csv
+from pv_inspect.sequence.frame_files import natural_key
 from tests.cracks.test_network import cell
 
 FORMULAS = ["=1+1", "+1+1", "-1+cmd|' /C calc'!A0", "@SUM(A1)", "\t=1", "\r=1", " =1", "\uff1d1"]

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pv_inspect.crossings import Crossings, FrameCrossings, _side_shifts
-from pv_inspect.detection import detect
-from pv_inspect.edges import EdgeOffsets, cell_edges
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.crossings import Crossings, FrameCrossings, _side_shifts
+from pv_inspect.detection.detect import detect
+from pv_inspect.detection.edges import EdgeOffsets, cell_edges
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.sequence import Sequence
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 
@@ -155,7 +155,7 @@ def test_a_layout_that_most_frames_speak_against_is_refused(
     def fault(image: NDArray[np.float32], *_: object, **__: object) -> str:
         return "there is no border between row 1 and 2 of" if image.mean() > limit else ""
 
-    monkeypatch.setattr("pv_inspect.frame_detection.grid_fault", fault)
+    monkeypatch.setattr("pv_inspect.detection.single_frame.grid_fault", fault)
     if faulty == 2:
         crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
         assert [frame.why == "" for frame in crossings.frames] == [False, False, True, True, True]

@@ -3,15 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.edges import (
+from pv_inspect.detection.edges import (
     GapShape,
     _robust_means,
     cell_edges,
     measure_edges,
     measure_gaps_robustly,
 )
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import Pose, conventional_camera
+from pv_inspect.detection.outline import Pose, conventional_camera
+from pv_inspect.geometry.layout import ModuleLayout
 
 SHAPE = (160, 200)
 LAYOUT = ModuleLayout(3, 4)

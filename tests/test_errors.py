@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from pv_inspect import cli
+from pv_inspect.cli import app as cli
 from pv_inspect.errors import LONGEST_SENTENCE, InspectionError, one_sentence, printable
 
 

@@ -17,9 +17,10 @@ from threading import Event, Thread
 import numpy as np
 import pytest
 
-from pv_inspect import folders, locks
 from pv_inspect.errors import InspectionError
-from pv_inspect.folders import (
+from pv_inspect.review import ReviewStore, Verdict, VerdictKind
+from pv_inspect.storage import folders, locks
+from pv_inspect.storage.folders import (
     check_replaceable,
     read_steadily,
     recovered,
@@ -27,10 +28,9 @@ from pv_inspect.folders import (
     replace_folder,
     reserved,
 )
-from pv_inspect.output_paths import check_not_inside, output_folder
-from pv_inspect.reservations import changing, reserved_files
-from pv_inspect.review import ReviewStore, Verdict, VerdictKind
-from pv_inspect.temporaries import MOVING, PARTIAL, PREVIOUS, lock_of, own
+from pv_inspect.storage.output_paths import check_not_inside, output_folder
+from pv_inspect.storage.reservations import changing, reserved_files
+from pv_inspect.storage.temporaries import MOVING, PARTIAL, PREVIOUS, lock_of, own
 from tests.small_folder import MARKER, NAMES, fill, is_ours, names_in, whole
 
 
@@ -56,7 +56,7 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from pv_inspect import folders
+from pv_inspect.storage import folders
 from tests.small_folder import fill
 
 out, where = Path(sys.argv[1]), sys.argv[2]
@@ -145,7 +145,7 @@ def test_nothing_is_left_by_a_replacement(out: Path, way: str) -> None:
 
 def test_a_second_process_is_refused_at_once_and_told_who_writes(out: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from pv_inspect.folders import *\n"
+        "import sys; from pathlib import Path; from pv_inspect.storage.folders import *\n"
         "from tests.small_folder import *\n"
         "with reserved(Path(sys.argv[1]), MARKER, is_ours): pass"
     )
@@ -409,7 +409,7 @@ def test_without_links_a_database_in_use_is_refused_and_not_copied_half(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "link", no_links)
-    monkeypatch.setattr("pv_inspect.carrying._BUSY_S", 0.05)
+    monkeypatch.setattr("pv_inspect.storage.carrying._BUSY_S", 0.05)
     with ReviewStore(out) as store:
         store.give(Verdict(0, 0, VerdictKind.OK, "Ann"))
         with (
@@ -458,7 +458,7 @@ def test_what_is_said_about_the_folder_is_looked_up(
 @pytest.mark.parametrize("room", [0, 5_000, 25_000, 45_000])
 def test_a_real_limit_of_the_system_leaves_the_old_folder_and_says_so(out: Path, room: int) -> None:
     code = (
-        "import resource, sys; from pathlib import Path; from pv_inspect.folders import *\n"
+        "import resource, sys; from pathlib import Path; from pv_inspect.storage.folders import *\n"
         "from tests.small_folder import *\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)\n"
         "files = [(name, b'x' * size) for name, size in zip(NAMES, (10_000, 30_000, 50_000))]\n"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from pv_inspect.detection import detect
-from pv_inspect.frame_copies import FrameContents, copies_sentence, copies_told, likeness
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.registration import LEFT_OUT, left_out
-from pv_inspect.sequence import Sequence
+from pv_inspect.detection.detect import detect
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.registration.register import LEFT_OUT, left_out
+from pv_inspect.sequence.copies import FrameContents, copies_sentence, copies_told, likeness
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 

@@ -9,9 +9,9 @@ import pytest
 import tifffile
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_list import existing_image, list_frames
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.frame_list import existing_image, list_frames
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from tests.image_files.making import tags, tiff
 
@@ -168,7 +168,7 @@ def test_small_files_that_unfold_to_very_much_are_refused_by_their_headers(
     # Each page is within the limits, and all of them share one strip.
     page = tags(5000, 6000, 8, 4)
     (tmp_path / "x.tif").write_bytes(tiff([page] * 300, b"\1\2\3\4"))
-    monkeypatch.setattr("pv_inspect.sequence.read_frame", None)
+    monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
     with pytest.raises(InspectionError, match=r"unfold from 0\.0\d+ MB to 9000 MB"):
         Sequence.open(tmp_path / "x.tif")
 
@@ -184,7 +184,7 @@ def test_frames_of_other_sizes_are_refused_before_anything_is_decoded(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(folder / "other.tif", shape=(60, 50))
-    monkeypatch.setattr("pv_inspect.sequence.read_frame", None)
+    monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
     with pytest.raises(InspectionError, match=r"other\.tif is 50 x 60, the sequence is 50 x 40"):
         Sequence.open(folder)
 

@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import pytest
 
-from pv_inspect.generators import relayed, result_of
+from pv_inspect.common.work import relayed, result_of
 
 
 def counting(ended: list[str]) -> Generator[int, None, str]:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from pv_inspect.calibration import calibrate
-from pv_inspect.detection import detect
-from pv_inspect.generators import result_of
-from pv_inspect.registration import Registration, register
-from pv_inspect.sequence import Sequence
+from pv_inspect.calibration.calibrate import calibrate
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.detect import detect
+from pv_inspect.registration.register import Registration, register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.frame_detection import detect_in_frame, find_module
-from pv_inspect.grid_check import cell_levels, grid_fault, is_lit
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import OutlineError, Pose
+from pv_inspect.detection.grid_check import cell_levels, grid_fault, is_lit
+from pv_inspect.detection.outline import OutlineError, Pose
+from pv_inspect.detection.single_frame import detect_in_frame, find_module
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.simulate import SimulatedSequence
 
 TRUE = ModuleLayout(4, 6)

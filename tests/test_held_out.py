@@ -6,18 +6,18 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.generators import result_of
-from pv_inspect.held_out import (
+from pv_inspect.common.work import result_of
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.reconstruction.held_out import View, equations_of, model_of
+from pv_inspect.reconstruction.prior_weight import (
     CANDIDATES,
     Trial,
     choose_prior_weight,
     windows_of,
 )
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.prediction import View, equations_of, model_of
-from pv_inspect.solver import Problem, first_guess, minimise
+from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
 SHAPE = (56, 56)
 CAMERA = Camera(np.array([[200.0, 0, 27.5], [0, 200.0, 27.5], [0, 0, 1]]), 0.0)

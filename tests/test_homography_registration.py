@@ -9,15 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect import homography_registration
-from pv_inspect.calibration import calibrate
-from pv_inspect.crossings import Crossings, FrameCrossings
-from pv_inspect.detection import detect
+from pv_inspect.calibration.calibrate import calibrate
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.homography_registration import register_by_homography
-from pv_inspect.registration import Registration, register
-from pv_inspect.sequence import Sequence
+from pv_inspect.registration import homography as homography_registration
+from pv_inspect.registration.homography import register_by_homography
+from pv_inspect.registration.register import Registration, register
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (
     SimulatedSequence,

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pv_inspect.detection import detect
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.detect import detect
+from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.large_frames import ReducedFrames, enlarged, reduction
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.simulate import SimulationSettings, simulated
 from tests.test_detection import _in_memory
 

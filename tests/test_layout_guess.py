@@ -7,9 +7,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from pv_inspect.detection.layout_guess import guess_layout, is_known
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout_guess import guess_layout, is_known
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
 

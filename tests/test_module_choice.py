@@ -9,17 +9,17 @@ import pytest
 import tifffile
 from scipy.fft import idctn
 
-from pv_inspect.calibration import Calibration
-from pv_inspect.camera import Camera
-from pv_inspect.cell_details import CellDetails, noise_spectrum
-from pv_inspect.crossings import Crossings, FrameCrossings
-from pv_inspect.detail_agreement import compare_details
+from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.outline import Pose
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_agreement import _Clusters, group_frames
-from pv_inspect.module_choice import choose_module
-from pv_inspect.outline import Pose
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.module_choice.cell_details import CellDetails, noise_spectrum
+from pv_inspect.module_choice.choice import choose_module
+from pv_inspect.module_choice.detail_agreement import compare_details
+from pv_inspect.module_choice.frame_agreement import _Clusters, group_frames
 from pv_inspect.pipeline import inspect
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import (
     Scene,

@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.motion import STILL, detail_left, length_and_angle, motion_of, samples_of
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf import footprint_variance_lr_px2
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.observation.motion_blur import (
+    STILL,
+    detail_left,
+    length_and_angle,
+    motion_of,
+    samples_of,
+)
+from pv_inspect.observation.psf import footprint_variance_lr_px2
 
 SHAPE = (72, 96)
 CAMERA = Camera(np.array([[200.0, 0, 48.3], [0, 200.0, 35.1], [0, 0, 1]]), -0.2)

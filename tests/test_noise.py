@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.noise import NoiseModel, estimate_noise
+from pv_inspect.sequence.noise import NoiseModel, estimate_noise
 
 SHAPE = (128, 160)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pv_inspect.notebook import NotebookBar, in_notebook
+from pv_inspect.notebook.progress_bar import NotebookBar, in_notebook
 from pv_inspect.pipeline import Inspection, Step, run_to_end
 from pv_inspect.settings import Stage
 from tests.handmade import made_inspection
@@ -91,7 +91,7 @@ def test_a_run_that_fails_leaves_the_bar_where_it_was(kernel: FakeIPython) -> No
 def test_the_bar_is_not_drawn_more_often_than_an_eye_can_follow(
     kernel: FakeIPython, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pv_inspect.notebook.perf_counter", lambda: 5.0)
+    monkeypatch.setattr("pv_inspect.notebook.progress_bar.perf_counter", lambda: 5.0)
     bar = NotebookBar()
     bar.update(0.1, "first")
     bar.update(0.2, "at the same moment")
@@ -100,8 +100,9 @@ def test_the_bar_is_not_drawn_more_often_than_an_eye_can_follow(
 
 def test_the_core_loads_neither_matplotlib_nor_ipython_nor_qt() -> None:
     code = (
-        "import sys, pv_inspect, pv_inspect.pipeline, pv_inspect.results, pv_inspect.display\n"
-        "import pv_inspect.cli, pv_inspect.preview\n"
+        "import sys, pv_inspect, pv_inspect.pipeline, pv_inspect.results.write\n"
+        "import pv_inspect.notebook.display, pv_inspect.cli.app\n"
+        "import pv_inspect.reconstruction.preview\n"
         "heavy = {'matplotlib', 'IPython', 'qtpy', 'PySide6', 'napari', 'ipykernel'}\n"
         "sys.exit(' '.join(heavy & set(sys.modules)) or 0)"
     )

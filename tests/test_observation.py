@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.psf import Blur, footprint_variance_lr_px2, kernel_of_variance
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.observation.psf import Blur, footprint_variance_lr_px2, kernel_of_variance
 
 SHAPE = (72, 96)
 CAMERA = Camera(np.array([[200.0, 0, 48.3], [0, 200.0, 35.1], [0, 0, 1]]), -0.2)

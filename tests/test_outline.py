@@ -4,9 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.outline import (
+from pv_inspect.detection.outline import (
     OutlineError,
     Pose,
     conventional_camera,
@@ -15,6 +13,8 @@ from pv_inspect.outline import (
     fit_pose,
     solver_errors_as_reasons,
 )
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
 
 SHAPE = (216, 288)
 LAYOUT = ModuleLayout(4, 6)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.pattern import Estimate, columns_of_frames, fixed_columns, pixel_gains, shrink
-from pv_inspect.residuals import ResidualSums
+from pv_inspect.photometry.fixed_pattern import (
+    Estimate,
+    columns_of_frames,
+    fixed_columns,
+    pixel_gains,
+    shrink,
+)
+from pv_inspect.photometry.residual_sums import ResidualSums
 
 SHAPE = (96, 160)
 NOISE = 0.01

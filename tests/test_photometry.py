@@ -9,20 +9,20 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.photometry import (
+from pv_inspect.common.work import result_of
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
     huber_weights,
     mean_illumination,
     observed,
 )
-from pv_inspect.registration import Registration
-from pv_inspect.sequence import NoiseModel
-from pv_inspect.solver import Problem, first_guess, minimise
+from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import Frames
 
 SHAPE = (112, 144)

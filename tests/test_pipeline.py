@@ -10,11 +10,11 @@ import pytest
 
 from pv_inspect import pipeline
 from pv_inspect.cells import cut_cells
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.layout_guess import LayoutGuess
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
-from pv_inspect.reconstruction import Progress
+from pv_inspect.reconstruction.reconstruct import Progress
 from pv_inspect.settings import Settings, Stage
 from tests.handmade import (
     REASON,

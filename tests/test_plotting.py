@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence import Frame
+from pv_inspect.sequence.sequence import Frame
 from tests.handmade import REASON, FakeSequence, made_inspection
 
 
@@ -147,7 +147,7 @@ def test_only_a_suspected_cell_is_outlined(inspection: Inspection) -> None:
 
 
 def test_half_cells_keep_their_shape() -> None:
-    from pv_inspect.layout import HrGrid, ModuleLayout
+    from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 
     inspection = made_inspection(tiles=None, cracks=None)
     assert inspection.reconstruction is not None
@@ -208,7 +208,7 @@ def test_without_matplotlib_one_sentence_names_the_extra(
             raise ImportError(name)
         return real(name, *rest, **named)
 
-    monkeypatch.delitem(sys.modules, "pv_inspect.plotting", raising=False)
+    monkeypatch.delitem(sys.modules, "pv_inspect.notebook.plots", raising=False)
     monkeypatch.setattr(builtins, "__import__", without_matplotlib)
     with pytest.raises(InspectionError, match=r"pip install 'pv-inspect\[notebook\]'"):
         inspection.plot_cells()

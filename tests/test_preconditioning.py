@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from pv_inspect.preconditioning import Spectral
+from pv_inspect.reconstruction.preconditioner import Spectral
 
 Image = NDArray[np.floating]
 SHAPE = (70, 94)

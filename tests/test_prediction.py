@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.motion import STILL, motion_of
-from pv_inspect.observation import SensorRays
-from pv_inspect.prediction import Judge, View, equations_of, model_of, split
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.observation.model import SensorRays
+from pv_inspect.observation.motion_blur import STILL, motion_of
+from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
 
 SHAPE = (48, 52)
 CAMERA = Camera(np.array([[200.0, 0, 25.5], [0, 200.0, 23.5], [0, 0, 1]]), 0.0)

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid
-from pv_inspect.observation import SensorRays
-from pv_inspect.photometry import observed
-from pv_inspect.prediction import cut_view
-from pv_inspect.preview import Preview, Region, bent
-from pv_inspect.reconstruction import Reconstruction, reconstruct
-from pv_inspect.registration import Registration
+from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.observation.model import SensorRays
+from pv_inspect.photometry.photometry import observed
+from pv_inspect.reconstruction.held_out import cut_view
+from pv_inspect.reconstruction.preview import Preview, Region, bent
+from pv_inspect.reconstruction.reconstruct import Reconstruction, reconstruct
+from pv_inspect.registration.register import Registration
 from tests.recording import LAYOUT, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300)

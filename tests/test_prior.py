@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pv_inspect.prior import Btv, WeightedBtv, prior_named
-from pv_inspect.stencil import OFFSETS, Stencil
+from pv_inspect.observation.stencil import OFFSETS, Stencil
+from pv_inspect.reconstruction.prior import Btv, WeightedBtv, prior_named
 
 PRIORS = (
     WeightedBtv(0.2),

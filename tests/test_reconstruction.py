@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
+from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.prediction import View
-from pv_inspect.psf_estimation import estimate_psf_sigma
-from pv_inspect.reconstruction import Reconstruction, bicubic, reconstruct
-from pv_inspect.registration import Registration
-from pv_inspect.sequence import NoiseModel
-from pv_inspect.solver import Problem, first_guess, minimise
+from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.reconstruction.held_out import View
+from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma
+from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
+from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import (
     CAMERA,
     LAYOUT,

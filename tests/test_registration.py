@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-import pv_inspect.registration as registration_module
-from pv_inspect.alignment import N_PARAMETERS, accumulate_frame, normal_equations
-from pv_inspect.calibration import Calibration
-from pv_inspect.camera import Camera
+import pv_inspect.registration.register as registration_module
+from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.registration import Registration, module_mean, register, unregistered
-from pv_inspect.sequence import Sequence
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.registration.alignment import N_PARAMETERS, accumulate_frame, normal_equations
+from pv_inspect.registration.register import Registration, module_mean, register, unregistered
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.report import render_report
+from pv_inspect.reports.module_report import render_report
 from pv_inspect.settings import Settings
 from tests.handmade import FakeSequence, made_inspection, made_reconstruction
 

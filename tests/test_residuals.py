@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.residuals import (
+from pv_inspect.photometry.residual_sums import (
     BAND_ROWS,
     COUNT,
     LIGHT2,

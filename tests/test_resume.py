@@ -12,9 +12,9 @@ import tifffile
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import read_result, write_result
-from pv_inspect.resume import reopen, resume
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.resume import reopen, resume
+from pv_inspect.results.write import read_result, write_result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 from tests.handmade import made_inspection
 

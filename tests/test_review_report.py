@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pv_inspect import cli, folders
+from pv_inspect.cli import app as cli
 from pv_inspect.errors import InspectionError
-from pv_inspect.report import with_review_state
-from pv_inspect.results import Result, read_result, write_result
+from pv_inspect.reports.module_report import with_review_state
+from pv_inspect.results.write import Result, read_result, write_result
 from pv_inspect.review import Measure, ModuleData, ReviewStore, Verdict, VerdictKind, fingerprint
-from pv_inspect.review_report import export_review, render_review
+from pv_inspect.review.report import export_review, render_review
+from pv_inspect.storage import folders
 from tests.handmade import made_inspection
 from tests.test_report import Reader
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pv_inspect.sensor import (
+from pv_inspect.sequence.sensor import (
     black_level,
     column_offsets,
     defective_pixels,

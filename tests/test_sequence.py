@@ -13,7 +13,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "sequences"

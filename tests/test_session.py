@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.session import Session, read_session, write_session
+from pv_inspect.results.session import Session, read_session, write_session
 
 LOOKED = Session((2, 3), 7, "Frames", (10.5, 20.0), 1.5)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.sidecar import read_sidecar
+from pv_inspect.sequence.sidecar import read_sidecar
 
 
 def read(tmp_path: Path, content: bytes) -> dict[str, object]:

@@ -20,7 +20,11 @@ import sys
 from pathlib import Path
 sys.argv = ["pv-inspect", "run", {frames!r}, "--out", {out!r}, "-q"]
 import pv_inspect
-from pv_inspect import __main__, pipeline, sequence, cli, folders, results
+from pv_inspect import __main__, pipeline
+from pv_inspect.cli import app as cli
+from pv_inspect.results import write as results
+from pv_inspect.sequence import sequence
+from pv_inspect.storage import folders
 from pv_inspect.pipeline import Step
 from pv_inspect.settings import Stage
 from tests.handmade import made_inspection
@@ -133,7 +137,7 @@ def test_a_signal_that_is_lost_on_the_way_ends_the_run_all_the_same(
 def test_a_signal_during_the_exchange_lets_it_end_and_the_new_result_is_told(
     tmp_path: Path, stopped: Callable[..., tuple[int, str]]
 ) -> None:
-    from pv_inspect.results import read_result, write_result
+    from pv_inspect.results.write import read_result, write_result
     from tests.handmade import made_inspection
 
     out = tmp_path / "results" / "out"
@@ -165,7 +169,7 @@ def test_a_signal_while_the_command_loads_is_one_sentence_without_a_traceback() 
 
 def test_who_imports_the_package_keeps_its_own_signals() -> None:
     code = (
-        "import signal, pv_inspect, pv_inspect.cli\n"
+        "import signal, pv_inspect, pv_inspect.cli.app\n"
         "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler\n"
         "assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL\n"
     )

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from pv_inspect.common.solver_errors import in_words
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.solver_errors import in_words
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 
 
 def test_what_a_solver_raises_becomes_one_sentence() -> None:

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.edges import cell_edges
-from pv_inspect.layout import HrGrid, ModuleLayout
-from pv_inspect.straightening import _basis, sharpened, straighten
+from pv_inspect.detection.edges import cell_edges
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.registration.straightening import _basis, sharpened, straighten
 
 LAYOUT = ModuleLayout(5, 7)
 CAMERA = Camera(np.array([[600.0, 0, 322], [0, 600, 250], [0, 0, 1]]), -0.2)

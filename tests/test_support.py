@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, minres
 
-from pv_inspect.generators import result_of
-from pv_inspect.layout import HrGrid
-from pv_inspect.observation import NormalEquations, ObservationModel, SensorRays
-from pv_inspect.prior import prior_named
-from pv_inspect.solver import Problem, minimise
-from pv_inspect.stencil import Quadratic, Stencil
-from pv_inspect.support import FAINT, probe, support_of
+from pv_inspect.common.work import result_of
+from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.observation.stencil import Quadratic, Stencil
+from pv_inspect.reconstruction.prior import prior_named
+from pv_inspect.reconstruction.solver import Problem, minimise
+from pv_inspect.reconstruction.support import FAINT, probe, support_of
 from tests.recording import CAMERA, LAYOUT, NOISE, SHAPE, SIGMA, recording
 
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pv_inspect import cli
-from pv_inspect.display import inspection_html, result_html
+from pv_inspect.cli import app as cli
 from pv_inspect.doubts import doubts_of
+from pv_inspect.notebook.display import inspection_html, result_html
+from pv_inspect.notebook.plots import plot_cells, plot_residuals
 from pv_inspect.pipeline import Inspection
-from pv_inspect.plotting import plot_cells, plot_residuals
-from pv_inspect.report import render_report
-from pv_inspect.results import Result, read_result, write_result
-from pv_inspect.review_report import render_review
+from pv_inspect.reports.module_report import render_report
+from pv_inspect.results.write import Result, read_result, write_result
+from pv_inspect.review.report import render_review
 from pv_inspect.summary import summary
 from tests.handmade import made_inspection
 from tests.test_report import Reader

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pv_inspect import trials as module
 from pv_inspect.errors import InspectionError
+from pv_inspect.results import trials as module
+from pv_inspect.results.trials import KeptTrial, read_trials, worth_keeping, write_trials
 from pv_inspect.settings import Settings
-from pv_inspect.trials import KeptTrial, read_trials, worth_keeping, write_trials
 
 
 def trial(number: int, name: str = "", size: int = 12) -> KeptTrial:

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.camera import Camera
-from pv_inspect.residuals import ResidualSums
-from pv_inspect.vignetting import Vignetting, estimate_vignetting
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.photometry.residual_sums import ResidualSums
+from pv_inspect.photometry.vignetting import Vignetting, estimate_vignetting
 
 SHAPE = (128, 160)
 CAMERA = Camera(np.array([[300.0, 0, 80.0], [0, 300.0, 64.0], [0, 0, 1]]), -0.1)

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.held_out import typical_prior_weight
-from pv_inspect.layout import HrGrid
+from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.pipeline import Inspection
-from pv_inspect.preview import Preview, Region, bent
-from pv_inspect.reconstruction import bicubic
-from pv_inspect.registration import Registration
+from pv_inspect.reconstruction.preview import Preview, Region, bent
+from pv_inspect.reconstruction.prior_weight import typical_prior_weight
+from pv_inspect.reconstruction.reconstruct import bicubic
+from pv_inspect.registration.register import Registration
 from pv_inspect.settings import Settings
 
 __all__ = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from pv_inspect.crossings import Crossings
+from pv_inspect.detection.crossings import Crossings
 
 __all__ = ["Place", "Point", "PointEdits"]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from napari_pv_inspect.model import WorkbenchModel
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
+from pv_inspect.results.write import Result
 from pv_inspect.settings import Stage
 
 __all__ = ["Facts", "capitalised", "facts_of"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 __all__ = ["FrameRow", "frame_rows", "ticked"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from napari.qt.threading import create_worker
 
 from napari_pv_inspect.model import WorkbenchModel
+from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout_guess import LayoutGuess, guess_layout, is_known
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 __all__ = ["LayoutGuesser"]

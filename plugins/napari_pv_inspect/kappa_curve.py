@@ -11,8 +11,8 @@ from psygnal import Signal
 
 from napari_pv_inspect.background import NewestAnswer
 from napari_pv_inspect.model import RunState, WorkbenchModel
-from pv_inspect.calibration import Calibration, residual_over_kappa
-from pv_inspect.crossings import Crossings
+from pv_inspect.calibration.calibrate import Calibration, residual_over_kappa
+from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 

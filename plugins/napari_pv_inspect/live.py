@@ -17,10 +17,10 @@ from napari_pv_inspect.layers.geometry import GeometryLayers
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.overlays import frame_grid
 from napari_pv_inspect.point_editor import PointEditor
-from pv_inspect.calibration import Calibration, calibrate, refit_frame
-from pv_inspect.camera import Camera
-from pv_inspect.crossings import Crossings
+from pv_inspect.calibration.calibrate import Calibration, calibrate, refit_frame
+from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.camera import Camera
 from pv_inspect.pipeline import Inspection
 from pv_inspect.settings import Settings
 

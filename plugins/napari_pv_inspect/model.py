@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from psygnal import Signal
 
+from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import LayoutGuess
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.results import Result
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.write import Result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Failure", "RunState", "WorkbenchModel"]

@@ -16,12 +16,12 @@ from napari_pv_inspect import reader
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.sources import open_sequence
 from pv_inspect.errors import InspectionError
-from pv_inspect.folders import read_steadily
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result, read_result
-from pv_inspect.resume import reopen, resume
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.resume import reopen, resume
+from pv_inspect.results.write import Result, read_result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
+from pv_inspect.storage.folders import read_steadily
 
 __all__ = ["Opened", "Opener", "open_any", "open_result"]
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from napari_pv_inspect.coordinates import in_frame, segments_in_frame
-from pv_inspect.camera import Camera
-from pv_inspect.crossings import Crossings
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.detection.crossings import Crossings
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection
 
 __all__ = [

@@ -13,8 +13,8 @@ from psygnal import Signal
 from napari_pv_inspect.edits import Place, Point, PointEdits
 from napari_pv_inspect.history import Action, History
 from napari_pv_inspect.model import RunState, WorkbenchModel
-from pv_inspect.calibration import Calibration, refit_frame
-from pv_inspect.crossings import Crossings
+from pv_inspect.calibration.calibrate import Calibration, refit_frame
+from pv_inspect.detection.crossings import Crossings
 from pv_inspect.pipeline import Inspection
 
 __all__ = ["PointEditor"]

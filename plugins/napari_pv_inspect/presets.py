@@ -9,8 +9,8 @@ import platformdirs
 
 from napari_pv_inspect.tuning import IMAGE_FIELDS
 from pv_inspect.errors import InspectionError
-from pv_inspect.folders import replace_file
 from pv_inspect.settings import Settings
+from pv_inspect.storage.folders import replace_file
 
 __all__ = ["PRESET_FIELDS", "PresetShelf", "read_preset", "write_preset"]
 

@@ -7,7 +7,7 @@ from functools import partial
 from napari_pv_inspect.background import NewestAnswer
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.point_editor import PointEditor
-from pv_inspect.calibration import Calibration, calibrate
+from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 

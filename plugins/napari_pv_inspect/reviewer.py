@@ -13,7 +13,7 @@ from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.review_model import ReviewModel
 from napari_pv_inspect.review_subject import Subject
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
+from pv_inspect.results.write import Result
 from pv_inspect.review import Cell, VerdictKind
 from pv_inspect.settings import Settings
 

@@ -12,7 +12,7 @@ from qtpy.QtCore import QObject, QThreadPool
 from napari_pv_inspect.model import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import write_result
+from pv_inspect.results.write import write_result
 
 __all__ = ["Saver"]
 

@@ -25,8 +25,8 @@ from napari_pv_inspect.reader import LayerData
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import CrackMap
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.results import Result, read_result
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.write import Result, read_result
+from pv_inspect.sequence.sequence import Sequence
 
 __all__ = [
     "PART_KEY",
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 # Under these keys of its metadata a layer carries what it shows; the workbench adopts such layers.
-SEQUENCE_KEY = "pv_inspect.sequence"
+SEQUENCE_KEY = "pv_inspect.sequence.sequence"
 RESULT_KEY = "pv_inspect.result"
 PART_KEY = "pv_inspect.part"
 

@@ -11,8 +11,8 @@ from napari_pv_inspect.cell_renderer import CellPicture
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.tuning import Trial, Tuning
 from pv_inspect.errors import InspectionError
-from pv_inspect.results import Result
-from pv_inspect.trials import KeptTrial, read_trials, write_trials
+from pv_inspect.results.trials import KeptTrial, read_trials, write_trials
+from pv_inspect.results.write import Result
 
 __all__ = ["TrialKeeper"]
 

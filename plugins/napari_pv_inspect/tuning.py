@@ -10,7 +10,7 @@ from psygnal import Signal
 from napari_pv_inspect.cell_renderer import CellPicture
 from napari_pv_inspect.history import Action, History
 from napari_pv_inspect.model import WorkbenchModel
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 __all__ = ["IMAGE_FIELDS", "LIVE_FIELDS", "Trial", "Tuning", "what_differs"]

@@ -40,7 +40,7 @@ from napari_pv_inspect.trial_keeper import TrialKeeper
 from napari_pv_inspect.tuning import Tuning
 from napari_pv_inspect.worker import RunController
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
+from pv_inspect.results.write import Result
 
 __all__ = ["Workbench"]
 

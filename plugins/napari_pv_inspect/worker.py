@@ -15,7 +15,7 @@ from napari_pv_inspect.model import RunState, WorkbenchModel
 from pv_inspect import pipeline
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Outcome", "RunController"]

@@ -39,8 +39,9 @@ _DARK_LEVEL = 0.5
 # The score looks at as many pixels as a mark of this length and width has.
 _SCORE_LENGTH_CELLS = 0.1
 _SCORE_WIDTH_CELLS = 0.01
-# Frames that all stand in one place reach about this support (`pv_inspect.support`): pixels with
-# less show no detail that is finer than the pixels of a frame and comes from the frames.
+# Frames that all stand in one place reach about this support
+# (`pv_inspect.reconstruction.support`): pixels with less show no detail that is finer than the
+# pixels of a frame and comes from the frames.
 UNSUPPORTED = 0.1
 _UNEARNED_SHARE = 0.5
 # Classes: less than this share of the cell counts as nothing cut off, and brightness of what would

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import layouts_in
+from pv_inspect.detection.layout_guess import layouts_in
+from pv_inspect.geometry.layout import ModuleLayout
 
 __all__ = ["module_in"]
 

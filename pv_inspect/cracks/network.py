@@ -1,4 +1,4 @@
-"""Cracks by a small network, trained by `pv_inspect.cracks.train`, run by OpenCV.
+"""Cracks by a small network, trained by `pv_inspect.cracks.training.train`, run by OpenCV.
 
 A model is two files: NAME.onnx and NAME.json, which says what the network expects and returns, how
 its answer becomes a probability, and which bytes the first file must have. The network sees a cell
@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from pv_inspect.cracks.apart import NetworkApart
+from pv_inspect.common.records import Number, Record, Text, checked, json_from, read_text
 from pv_inspect.cracks.features import OperatingPoint
-from pv_inspect.cracks.labelled import BUSBAR, CLASSES, CRACK
+from pv_inspect.cracks.foreign_network import NetworkApart
+from pv_inspect.cracks.training.labelled import BUSBAR, CLASSES, CRACK
 from pv_inspect.errors import InspectionError
-from pv_inspect.records import Number, Record, Text, checked, json_from, read_text
 
 __all__ = ["CELL_PX", "MODELS", "CrackModel", "NetworkDetector", "normalised"]
 
@@ -121,7 +121,8 @@ class CrackModel:
         if classes != CLASSES:
             raise InspectionError(
                 f"{about} names the classes {', '.join(map(str, classes))}, but a crack model has "
-                f"{', '.join(CLASSES)} in this order: give a model of pv_inspect.cracks.train."
+                f"{', '.join(CLASSES)} in this order: give a model of "
+                "pv_inspect.cracks.training.train."
             )
         return model
 
@@ -266,7 +267,7 @@ def _opened(path: Path, sha256: str) -> Any:
     if size > _MOST_BYTES:
         raise InspectionError(
             f"{path} has {size / 1e6:.0f} MB, no crack model has more than "
-            f"{_MOST_BYTES / 1e6:.0f}: give a model of pv_inspect.cracks.train."
+            f"{_MOST_BYTES / 1e6:.0f}: give a model of pv_inspect.cracks.training.train."
         )
     data = path.read_bytes()
     found = hashlib.sha256(data).hexdigest()

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.compiling import compiled
+from pv_inspect.common.compiling import compiled
 from pv_inspect.image_files.problems import damaged, needs_decoder
 
 __all__ = ["lzma_bytes", "lzw", "packbits", "unpacked_zlib"]

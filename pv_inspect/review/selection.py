@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from pv_inspect.cracks import CellFeatures
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.review.verdicts import Cell, Verdict, VerdictKind
 
 __all__ = ["Order", "Progress", "filtered", "next_unjudged", "ordered", "progress"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from pv_inspect.common.csv_tables import csv_text
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.cracks.features import FEATURES, texts
-from pv_inspect.csv_tables import csv_text
 from pv_inspect.review.verdicts import Cell, Verdict
 
 __all__ = ["DISAGREED", "agreed", "raters_of", "verdicts_csv"]

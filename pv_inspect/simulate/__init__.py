@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.generators import relayed, result_of
+from pv_inspect.common.work import relayed, result_of
 from pv_inspect.simulate.exposure import (
     Exposer,
     Pose,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.layout import ModuleLayout
 
 __all__ = ["Crack", "CrackMaps", "cut_off", "draw_cracks", "finger_interruptions", "grow_cracks"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.simulate.scene import Scene
 from pv_inspect.simulate.settings import SimulationSettings
 

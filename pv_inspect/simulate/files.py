@@ -14,9 +14,9 @@ import numpy as np
 import tifffile
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.output_paths import output_folder
-from pv_inspect.reservations import locked_output
-from pv_inspect.temporaries import PARTIAL, is_dead, leftovers, lock_of, own
+from pv_inspect.storage.output_paths import output_folder
+from pv_inspect.storage.reservations import locked_output
+from pv_inspect.storage.temporaries import PARTIAL, is_dead, leftovers, lock_of, own
 
 if TYPE_CHECKING:
     from pv_inspect.simulate import SimulatedSequence

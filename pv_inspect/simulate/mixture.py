@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.generators import result_of
+from pv_inspect.common.work import result_of
 from pv_inspect.simulate.exposure import Exposer, Pose, Sensor, choose_poses
 from pv_inspect.simulate.scene import Scene, render_scene
 from pv_inspect.simulate.settings import SimulationSettings

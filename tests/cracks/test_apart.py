@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.cracks import NetworkDetector, apart, network
+from pv_inspect.cracks import NetworkDetector, network
+from pv_inspect.cracks import foreign_network as apart
 from pv_inspect.errors import InspectionError
 from tests.cracks.test_network import cell
 

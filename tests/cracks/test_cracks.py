@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.cells import cut_cells
+from pv_inspect.common.work import result_of
 from pv_inspect.cracks import (
     NetworkDetector,
     OperatingPoint,
@@ -16,7 +17,6 @@ from pv_inspect.cracks import (
     operating_point_of,
     read_cracks,
 )
-from pv_inspect.generators import result_of
 from pv_inspect.settings import Settings
 from tests.handmade import made_reconstruction
 

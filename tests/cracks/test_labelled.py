@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.cracks.labelled import LabelledCell, module_of, read_labelled, split_modules
+from pv_inspect.cracks.training.labelled import (
+    LabelledCell,
+    module_of,
+    read_labelled,
+    split_modules,
+)
 from pv_inspect.errors import InspectionError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pv_inspect import cli
+from pv_inspect.cli import app as cli
 from pv_inspect.cracks.module_pictures import module_in
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 from tests.cracks.test_network import cell

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from pv_inspect.cracks import NetworkDetector, network
-from pv_inspect.cracks.labelled import read_labelled
 from pv_inspect.cracks.network import CELL_PX, MODELS
-from pv_inspect.cracks.scores import pixel_score
+from pv_inspect.cracks.training.labelled import read_labelled
+from pv_inspect.cracks.training.scores import pixel_score
 from pv_inspect.errors import InspectionError
 
 CELLS = Path(__file__).parents[3] / "shared" / "data" / "cracks" / "val"

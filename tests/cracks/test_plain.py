@@ -12,11 +12,11 @@ import pytest
 import tifffile
 from typer.testing import CliRunner, Result
 
-from pv_inspect import cli
-from pv_inspect.cracks import plain
-from pv_inspect.cracks.plain import image_files, read_cell
+from pv_inspect.cli import app as cli
+from pv_inspect.cracks import single_cells as plain
+from pv_inspect.cracks.single_cells import image_files, read_cell
 from pv_inspect.errors import InspectionError
-from pv_inspect.reservations import reserved_files
+from pv_inspect.storage.reservations import reserved_files
 from tests.cracks.test_network import cell
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pv_inspect.cracks.features import OperatingPoint
-from pv_inspect.cracks.judging import alarms, operating_point
-from pv_inspect.cracks.reliability import fit_calibration, reliability
+from pv_inspect.cracks.training.labelled_maps import alarms, operating_point
+from pv_inspect.cracks.training.reliability import fit_calibration, reliability
 
 
 def drawn(n: int, slope: float, offset: float) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.cracks.scores import average_precision, coarse_score, pixel_score, roc_auc
+from pv_inspect.cracks.training.scores import average_precision, coarse_score, pixel_score, roc_auc
 
 
 def line(y: int) -> np.ndarray:

@@ -59,14 +59,14 @@ def prepared(reader: str, folder: Path) -> None:
 
 
 def _frames(folder: Path, _: Args) -> None:
-    from pv_inspect.sequence import Sequence
+    from pv_inspect.sequence.sequence import Sequence
 
     sequence = Sequence.open(folder / "frames")
     _check_sequence(sequence)
 
 
 def _references(folder: Path, args: Args) -> None:
-    from pv_inspect.sequence import Sequence
+    from pv_inspect.sequence.sequence import Sequence
 
     given = {kind: folder / name for kind, name in zip(args[::2], args[1::2], strict=True)}
     _check_sequence(Sequence.open(folder / "frames", **given))
@@ -92,7 +92,7 @@ def _check_sequence(sequence: Any) -> None:
 
 
 def _plain_cell(folder: Path, args: Args) -> None:
-    from pv_inspect.cracks.plain import image_files, read_cell
+    from pv_inspect.cracks.single_cells import image_files, read_cell
 
     (path,) = image_files([folder / "cells"])
     image = read_cell(path)
@@ -133,7 +133,7 @@ def _check_settings(settings: Any) -> None:
 
 
 def _camera(folder: Path, args: Args) -> None:
-    from pv_inspect.camera_file import read_camera
+    from pv_inspect.calibration.camera_file import read_camera
 
     known = read_camera(folder / args[0], (seeds.HEIGHT, seeds.WIDTH))
     assert known.K.shape == (3, 3)
@@ -144,8 +144,8 @@ def _camera(folder: Path, args: Args) -> None:
 
 
 def _result(folder: Path, _: Args) -> None:
-    from pv_inspect.results import read_result
-    from pv_inspect.resume import reopen, resume
+    from pv_inspect.results.resume import reopen, resume
+    from pv_inspect.results.write import read_result
 
     result = read_result(folder / "result")
     layout = result.grid.layout
@@ -165,7 +165,7 @@ def _result(folder: Path, _: Args) -> None:
 
 
 def _session(folder: Path, _: Args) -> None:
-    from pv_inspect.session import read_session
+    from pv_inspect.results.session import read_session
 
     session = read_session(folder)
     assert session.frame >= 0
@@ -174,7 +174,7 @@ def _session(folder: Path, _: Args) -> None:
 
 
 def _trials(folder: Path, _: Args) -> None:
-    from pv_inspect.trials import read_trials
+    from pv_inspect.results.trials import read_trials
 
     for trial in read_trials(folder):
         assert np.isfinite(trial.image).all()
@@ -224,7 +224,7 @@ def _own_model() -> dict[str, bytes]:
 def _command(_: Path, args: Args) -> None:
     from typer.testing import CliRunner
 
-    from pv_inspect.cli import app
+    from pv_inspect.cli.app import app
 
     _without_the_work()
     found = CliRunner().invoke(app, list(args))

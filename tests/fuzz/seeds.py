@@ -130,8 +130,8 @@ def result_files() -> dict[str, bytes]:
     """A result folder, and the frames that it was made of, beside it."""
     from dataclasses import replace
 
-    from pv_inspect.results import write_result
-    from pv_inspect.sequence import Sequence
+    from pv_inspect.results.write import write_result
+    from pv_inspect.sequence.sequence import Sequence
     from tests.handmade import FakeSequence, made_inspection
 
     with tempfile.TemporaryDirectory() as name:
@@ -165,8 +165,8 @@ SESSION = json.dumps(
 @cache
 def kept_trials() -> bytes:
     """Content of a ``trials.npz``."""
+    from pv_inspect.results.trials import KeptTrial, write_trials
     from pv_inspect.settings import Settings
-    from pv_inspect.trials import KeptTrial, write_trials
 
     trials = [
         KeptTrial(
@@ -247,8 +247,8 @@ def settings_text() -> str:
 @cache
 def calibrations() -> tuple[tuple[str, str], ...]:
     """Name and text of calibration files in every form that is read."""
-    from pv_inspect.camera import Camera
-    from pv_inspect.camera_file import write_camera
+    from pv_inspect.calibration.camera_file import write_camera
+    from pv_inspect.geometry.camera import Camera
 
     camera = Camera(np.array([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]]), -0.1)
     with tempfile.TemporaryDirectory() as name:

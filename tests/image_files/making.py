@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_files import expand, read_frame
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.sequence.frame_files import expand, read_frame
 
 Tags = dict[int, tuple[int, list[int]]]
 

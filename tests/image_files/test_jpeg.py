@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.cracks.plain import read_cell
+from pv_inspect.cracks.single_cells import read_cell
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.jpeg import read_photo
 from pv_inspect.image_files.limits import ReadLimits

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pv_inspect.frame_files import expand, read_frame
+from pv_inspect.sequence.frame_files import expand, read_frame
 from tests.image_files.making import PNG_SIGNATURE, complaint_of, png, scene
 
 

@@ -13,8 +13,8 @@ import tifffile
 from PIL import Image
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.frame_files import expand, read_floats, read_frame
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.sequence.frame_files import expand, read_floats, read_frame
 from tests.image_files.making import complaint_of, scene, tags, tiff
 
 # -- the same pixels, however they are stored -----------------------------------------------

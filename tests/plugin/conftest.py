@@ -22,7 +22,7 @@ from napari_pv_inspect.application import build  # noqa: E402
 from napari_pv_inspect.docks.cells import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end  # noqa: E402
-from pv_inspect.sequence import Sequence  # noqa: E402
+from pv_inspect.sequence.sequence import Sequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
 from tests.plugin.reviewing import show, stored  # noqa: E402

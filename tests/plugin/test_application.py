@@ -18,7 +18,7 @@ from napari_pv_inspect.appearance import GRID_COLOUR, MEASURED_COLOUR
 from napari_pv_inspect.application import build
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 
 pytestmark = pytest.mark.xvfb
 

@@ -27,7 +27,7 @@ from napari_pv_inspect.docks.hand import style
 from napari_pv_inspect.docks.inspect import WIDTH
 from napari_pv_inspect.docks.live_place import show_live_cell
 from napari_pv_inspect.model import RunState
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 
 SIZE = (1280, 800)
 

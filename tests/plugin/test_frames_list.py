@@ -13,8 +13,8 @@ from napari_pv_inspect.docks.frames_box import GRID, NAME, STATUS
 from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
 from napari_pv_inspect.model import RunState
 from pv_inspect.pipeline import Inspection
-from pv_inspect.registration import LEFT_OUT
-from pv_inspect.sequence import Sequence
+from pv_inspect.registration.register import LEFT_OUT
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 from tests.plugin.reviewing import show
 

@@ -8,9 +8,9 @@ from pytestqt.qtbot import QtBot
 
 from napari_pv_inspect.guesser import LayoutGuesser
 from napari_pv_inspect.model import WorkbenchModel
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import LayoutGuess
-from pv_inspect.sequence import Sequence
+from pv_inspect.detection.layout_guess import LayoutGuess
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.sequence.sequence import Sequence
 
 
 def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(

@@ -22,7 +22,7 @@ from pv_inspect.cracks import CellState
 from pv_inspect.doubts import doubts_of
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import read_result, write_result
+from pv_inspect.results.write import read_result, write_result
 from tests.plugin.reviewing import show
 
 ALL_BLIND = "12 of 12 cells can't be judged from these frames"

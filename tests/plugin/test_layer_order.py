@@ -13,7 +13,7 @@ from pytestqt.qtbot import QtBot
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import write_result
+from pv_inspect.results.write import write_result
 
 
 @pytest.fixture

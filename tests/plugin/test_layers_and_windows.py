@@ -69,7 +69,7 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
 def test_two_windows_judge_the_same_result_at_once(
     make_napari_viewer: Callable[..., Any], tiny_inspection: Any, tmp_path: Path, qtbot: QtBot
 ) -> None:
-    from pv_inspect.results import write_result
+    from pv_inspect.results.write import write_result
 
     write_result(tiny_inspection, tmp_path / "out")
     viewers = [make_napari_viewer(), make_napari_viewer()]

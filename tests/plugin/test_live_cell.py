@@ -32,9 +32,9 @@ from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.live_cell import Source
 from napari_pv_inspect.model import RunState
 from pv_inspect.errors import InspectionError
-from pv_inspect.held_out import typical_prior_weight
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import read_result, write_result
+from pv_inspect.reconstruction.prior_weight import typical_prior_weight
+from pv_inspect.results.write import read_result, write_result
 from pv_inspect.settings import Settings
 
 LONG_MS = 30_000

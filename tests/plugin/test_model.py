@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from napari_pv_inspect.model import RunState, WorkbenchModel, best_start
+from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import LayoutGuess
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage
 
 

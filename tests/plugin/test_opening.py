@@ -19,9 +19,9 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.model import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import write_result
-from pv_inspect.sequence import Sequence
-from pv_inspect.session import Session, read_session, write_session
+from pv_inspect.results.session import Session, read_session, write_session
+from pv_inspect.results.write import write_result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Stage
 
 MODULE_LAYERS = {"Module image", "Support", "Contradictions", "Cracks"}

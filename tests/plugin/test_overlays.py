@@ -12,8 +12,8 @@ from napari_pv_inspect.overlays import (
     grid_segments,
 )
 from napari_pv_inspect.placement import cell_box, module_placement
-from pv_inspect.camera import Camera
-from pv_inspect.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.pipeline import Inspection
 
 

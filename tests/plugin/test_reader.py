@@ -14,8 +14,8 @@ import napari_pv_inspect
 from napari_pv_inspect.reader import get_reader, read_result, read_sequence
 from napari_pv_inspect.sources import RESULT_KEY, SEQUENCE_KEY
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import write_result
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.write import write_result
+from pv_inspect.sequence.sequence import Sequence
 
 MANIFEST = Path(napari_pv_inspect.__file__).parent / "napari.yaml"
 

@@ -25,7 +25,7 @@ from napari_pv_inspect.reviewer import LITTLE_PATIENCE_S
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import read_result, write_result
+from pv_inspect.results.write import read_result, write_result
 from pv_inspect.review import ReviewStore, Verdict, VerdictKind
 from tests.plugin.reviewing import show, stored
 

@@ -6,10 +6,10 @@ import pytest
 
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.steps import Deed, Status, next_step, steps_of
-from pv_inspect.layout import ModuleLayout
-from pv_inspect.layout_guess import LayoutGuess
+from pv_inspect.detection.layout_guess import LayoutGuess
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Stage
 
 D, N, W = Status.DONE, Status.NEXT, Status.WAITING

@@ -16,9 +16,9 @@ from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.trial_keeper import TrialKeeper
 from napari_pv_inspect.tuning import Tuning
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import read_result, write_result
-from pv_inspect.sequence import Sequence
-from pv_inspect.trials import read_trials
+from pv_inspect.results.trials import read_trials
+from pv_inspect.results.write import read_result, write_result
+from pv_inspect.sequence.sequence import Sequence
 
 
 class Bench:

@@ -8,7 +8,7 @@ from napari_pv_inspect.cell_renderer import CellPicture
 from napari_pv_inspect.history import History
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.tuning import Tuning, what_differs
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 

@@ -16,7 +16,7 @@ from napari_pv_inspect.model import RunState
 from napari_pv_inspect.sources import sequence_layer
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 
 
 def finish(dock: Any, qtbot: QtBot) -> None:

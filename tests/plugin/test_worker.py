@@ -11,7 +11,7 @@ from pytestqt.qtbot import QtBot
 from napari_pv_inspect.model import RunState, WorkbenchModel
 from napari_pv_inspect.worker import RunController
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Stage
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import random
 
 from pv_inspect.cracks import CellFeatures
-from pv_inspect.layout import ModuleLayout
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.review import (
     Order,
     Verdict,

@@ -19,7 +19,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.folders import replace_folder
 from pv_inspect.review import (
     REVIEW_FILE,
     ModuleData,
@@ -29,6 +28,7 @@ from pv_inspect.review import (
     VerdictKind,
     of_rater,
 )
+from pv_inspect.storage.folders import replace_folder
 
 SRC = str(Path(__file__).parents[2])
 CELLS = [(0, 0), (0, 1), (1, 0)]

@@ -27,8 +27,8 @@ from napari_pv_inspect.review_subject import Mask, Subject
 from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
-from pv_inspect.pictures import grey
 from pv_inspect.pipeline import Inspection
+from pv_inspect.reports.pictures import grey
 from pv_inspect.review import Cell
 
 __all__ = ["CellDock", "dock_of", "focus_gallery"]

@@ -21,9 +21,9 @@ from napari_pv_inspect.docks.listen import listen
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.review_model import ReviewModel
 from pv_inspect.errors import InspectionError
-from pv_inspect.results import read_result
+from pv_inspect.results.write import read_result
 from pv_inspect.review import ModuleData, ReviewStore
-from pv_inspect.review_report import REVIEW_PAGE, VERDICTS_TABLE, export_review
+from pv_inspect.review.report import REVIEW_PAGE, VERDICTS_TABLE, export_review
 
 __all__ = ["ExportBox"]
 

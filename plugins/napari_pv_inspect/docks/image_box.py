@@ -21,7 +21,7 @@ from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.docks.slider import SettingSlider, setting_tooltip
 from napari_pv_inspect.live_cell import LiveCell
 from napari_pv_inspect.model import WorkbenchModel
-from pv_inspect.reconstruction import TYPICAL_SIGMA_LR_PX, Reconstruction
+from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX, Reconstruction
 from pv_inspect.settings import Settings
 
 __all__ = ["ImageBox"]

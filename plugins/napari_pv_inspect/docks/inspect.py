@@ -41,8 +41,8 @@ from napari_pv_inspect.sample import sample_folder
 from napari_pv_inspect.steps import REVIEW, Deed
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.write import Result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Stage
 
 __all__ = ["InspectDock"]

@@ -22,7 +22,7 @@ from napari_pv_inspect.docks.slider import SettingSlider, setting_tooltip
 from napari_pv_inspect.kappa_curve import KAPPA_RANGE, Curve, KappaCurve
 from napari_pv_inspect.live import LiveKappa
 from napari_pv_inspect.model import WorkbenchModel
-from pv_inspect.camera_file import read_camera, write_camera
+from pv_inspect.calibration.camera_file import read_camera, write_camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 from pv_inspect.settings import Settings

@@ -30,7 +30,7 @@ from napari_pv_inspect.live_cell import Source
 from napari_pv_inspect.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
+from pv_inspect.results.write import Result
 
 __all__ = ["LiveDock"]
 

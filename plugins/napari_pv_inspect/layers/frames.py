@@ -13,9 +13,9 @@ from napari_pv_inspect.appearance import FRAMES
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.sources import SEQUENCE_KEY, sequence_layer
-from pv_inspect.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence import Sequence
+from pv_inspect.reports.figures import REGISTRATION_RESIDUAL, RESIDUAL
+from pv_inspect.sequence.sequence import Sequence
 
 __all__ = ["FramesLayer", "frame_caption"]
 

@@ -12,7 +12,7 @@ from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.overlays import grid_of_frames
 from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence import Sequence
+from pv_inspect.sequence.sequence import Sequence
 
 __all__ = ["GeometryLayers"]
 

@@ -14,10 +14,10 @@ from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.model import WorkbenchModel
 from napari_pv_inspect.placement import Placement, module_placement
 from napari_pv_inspect.sources import PART_KEY
-from pv_inspect.layout import HrGrid
+from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.pipeline import Inspection
-from pv_inspect.results import Result
-from pv_inspect.sequence import Sequence
+from pv_inspect.results.write import Result
+from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
 __all__ = ["ModuleLayers"]

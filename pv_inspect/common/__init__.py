@@ -1,0 +1,1 @@
+"""What every part uses: long work, parallel work, compiled code, records, signals."""

@@ -1,0 +1,1 @@
+"""Training of the crack network and its judgement on labelled cells; needs torch."""

@@ -1,0 +1,1 @@
+"""Which frames show the same module, and which module a sequence is about."""

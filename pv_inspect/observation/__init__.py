@@ -1,0 +1,1 @@
+"""The observation model of Eq. 1: blur, motion and sampling, with its adjoint."""

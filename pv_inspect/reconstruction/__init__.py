@@ -1,0 +1,1 @@
+"""The module image as the MAP estimate (paper, Sec. III-B, Eq. 7)."""

@@ -1,0 +1,417 @@
+"""The reconstruction: one HR module image out of all frames (paper, Sec. III-B, Eq. 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.common.work import relayed
+from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.memory import release, require_memory
+from pv_inspect.observation.model import SensorRays
+from pv_inspect.observation.motion_blur import length_and_angle
+from pv_inspect.photometry.photometry import (
+    Photometry,
+    estimate_photometry,
+    mean_illumination,
+    observed,
+)
+from pv_inspect.reconstruction.accumulation import Accumulation
+from pv_inspect.reconstruction.held_out import View, cut_view
+from pv_inspect.reconstruction.motion_estimation import estimate_motion
+from pv_inspect.reconstruction.prior import PriorName
+from pv_inspect.reconstruction.prior_weight import (
+    Trial,
+    choose_prior_weight,
+    typical_prior_weight,
+    windows_of,
+)
+from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma, window_of
+from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
+from pv_inspect.reconstruction.support import FAINT, support_of
+from pv_inspect.registration.register import Registration
+from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.settings import Settings
+
+__all__ = [
+    "TYPICAL_SIGMA_LR_PX",
+    "Progress",
+    "Reconstruction",
+    "bicubic",
+    "brightness_of",
+    "reconstruct",
+    "solve",
+]
+
+Image = NDArray[np.float32]
+Curve = tuple[tuple[float, float], ...]
+
+_NO_CURVE: Curve = ()
+
+TYPICAL_SIGMA_LR_PX = 0.45
+"""Optical sigma that the first look at the module assumes."""
+# Frames that the first look and the PSF are estimated from.
+_PSF_FRAMES = 20
+# Steps after which the solver is usually near its end; for the progress only.
+_TYPICAL_STEPS = 15.0
+# The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
+_PSF_MAGNIFICATION = 4.0
+# Solver steps to the module image that the sensor is judged by.
+_FIRST_LOOK = 10
+# A finer one takes a third more steps for less than 0.05 dB.
+_TOLERANCE = 1.5e-3
+# HR rows that `bicubic` projects at a time.
+_ROWS = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How far the reconstruction is.
+
+    Parameters
+    ----------
+    fraction : float
+        Share of the work that is done, 0..1.
+    message : str
+        What is being done.
+    image : (height, width) float32, optional
+        Current estimate, for previews; it goes on changing.
+    """
+
+    fraction: float
+    message: str
+    image: Image | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """The HR module image.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        Intensities, full scale = 1.
+    support : (height, width) float32
+        0..1: share of a detail of 10 % contrast, just finer than the LR pixels, that comes from the
+        frames; see
+        `pv_inspect.reconstruction.support`.
+    grid : HrGrid
+        Where the pixels lie on the module.
+    prior_weight : float
+        lambda that was used.
+    psf_sigma_lr_px : float
+        Optical blur that was used, LR px.
+    objective : tuple of float
+        Value of Eq. 7 after every round of the solver.
+    converged : bool
+        False: the iteration limit came first.
+    consistency : (height, width) float32
+        Residual of the frames around a pixel in units of the noise: about 1 where they agree with
+        the image, more where they contradict it, 0 where no frame looks.
+    residual_rms : tuple of float
+        Residual per frame (see `figures`): robust, in units of the noise; NaN if not in use.
+    motion : tuple of (length, angle)
+        Motion blur per frame, LR px and degrees in the sensor plane; (0, 0) for frames that are
+        still or not in use.
+    iterations : int
+        Steps of the solver.
+    lambda_curve : tuple of (float, float)
+        Weights that were tried and what they left of held-out pixels with PSFs a little off, mean
+        square in noise units;
+        empty if the user gave lambda.
+    photometry : Photometry, optional
+        The sensor's part in the intensities, if it was looked for.
+    """
+
+    image: Image
+    support: Image
+    grid: HrGrid
+    prior_weight: float
+    psf_sigma_lr_px: float
+    objective: tuple[float, ...]
+    converged: bool
+    consistency: Image
+    residual_rms: tuple[float, ...]
+    motion: tuple[tuple[float, float], ...]
+    iterations: int
+    lambda_curve: Curve = ()
+    photometry: Photometry | None = None
+
+
+def reconstruct(
+    sequence: Sequence, registration: Registration, settings: Settings
+) -> Generator[Progress, None, Reconstruction]:
+    """Reconstruct the module from all frames that are in use.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    registration : Registration
+    settings : Settings
+        ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
+        None), ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
+
+    Yields
+    ------
+    Progress
+        Several times a second once the code is compiled; closing the generator cancels.
+
+    Returns
+    -------
+    Reconstruction
+
+    Raises
+    ------
+    InspectionError
+        If no frame is in use or none of them shows the module.
+    """
+    used = np.flatnonzero(registration.used)
+    if used.size == 0:
+        raise InspectionError(
+            f"None of the {len(sequence)} frames could be registered, so there is nothing to "
+            "reconstruct: look at the reasons given for the frames."
+        )
+    grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, settings.magnification)
+    rays = SensorRays.of(registration.camera, sequence.shape)
+    yield Progress(0.02, "tracing the rays of the sensor")
+    motion = np.zeros((len(sequence), 2))
+    if settings.motion_blur == "auto":
+        yield Progress(0.03, "estimating the motion blur")
+        motion = estimate_motion(sequence, registration)
+    require_memory(sequence.shape, int(used.size), grid, motion)
+    photometry: Photometry | None = None
+    look: Image | None = None
+    if settings.second_look:
+        known = settings.psf_sigma_lr_px or TYPICAL_SIGMA_LR_PX
+        first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
+        photometry, look = yield from _first_look(first, used, settings)
+        del first
+        release()
+    sigma = settings.psf_sigma_lr_px
+    if sigma is None:
+        sigma = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
+    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, look)
+    windows = windows_of(grid) if settings.prior_weight is None else []
+    trials = yield from _all_added(data, used, windows, 0.4, 0.5)
+    _need_pixels(data)
+    start = first_guess(data.equations) if look is None else look
+    weight, curve = settings.prior_weight, _NO_CURVE
+    if weight is None:
+        weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
+    del trials  # of hundreds of frames more than the module image itself
+    release()
+    made = yield from solve(data, start, weight, settings)
+    return replace(made, lambda_curve=curve)
+
+
+def solve(
+    data: Accumulation, start: Image, prior_weight: float, settings: Settings
+) -> Generator[Progress, None, Reconstruction]:
+    """Reconstruct the module from the frames that have entered so far.
+
+    Parameters
+    ----------
+    data : Accumulation
+    start : (height, width) float32
+        Image to start from: of `first_guess`, or what the frames before had given.
+    prior_weight : float
+        lambda.
+    settings : Settings
+        ``prior`` and ``max_iterations`` count here.
+
+    Yields
+    ------
+    Progress
+
+    Returns
+    -------
+    Reconstruction
+    """
+    equations, grid = data.equations, data.equations.model.grid
+    sigma = equations.model.psf_sigma_lr_px
+    problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
+    told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
+    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE, spectral=True)
+
+    def solving(state: Solution) -> Progress:
+        share = 1 - np.exp(-state.iterations / _TYPICAL_STEPS)
+        now = np.asarray(state.image, np.float32)
+        return Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
+
+    solution = yield from relayed(solver, solving)
+    image = np.asarray(solution.image, np.float32)
+    faint = np.float32(FAINT * problem.brightness)
+    support = yield from relayed(
+        support_of(equations, lambda detail: problem.majoriser(image + faint * detail)),
+        lambda share: Progress(0.9 + 0.05 * share, "asking what the frames have earned", image),
+    )
+    consistency, residual_rms = yield from relayed(
+        data.compare(image),
+        lambda share: Progress(0.95 + 0.05 * share, "comparing the frames with the result", image),
+    )
+    return Reconstruction(
+        image,
+        support,
+        grid,
+        prior_weight,
+        sigma,
+        solution.objective,
+        solution.converged,
+        consistency,
+        tuple(float(r) for r in residual_rms),
+        tuple(length_and_angle(m) for m in data.motion),
+        solution.iterations,
+        photometry=data.photometry,
+    )
+
+
+def bicubic(
+    sequence: Sequence, registration: Registration, grid: HrGrid, frame: int
+) -> NDArray[np.float32]:
+    """Rectify one frame by bicubic interpolation: what there is without super-resolution.
+
+    Parameters
+    ----------
+    sequence : Sequence
+    registration : Registration
+    grid : HrGrid
+    frame : int
+
+    Returns
+    -------
+    (height, width) float32
+        On the module's intensity scale; 0 where the frame does not see the module plane.
+    """
+    offset, gain = float(registration.offset[frame]), float(registration.gain[frame])
+    image = np.ascontiguousarray((sequence.frame(frame).image - offset) / gain, dtype=np.float32)
+    height, width = grid.shape
+    out = np.empty(grid.shape, np.float32)
+    for top in range(0, height, _ROWS):
+        y, x = np.mgrid[top : min(top + _ROWS, height), :width].astype(np.float64)
+        points = grid.to_module(np.stack([x, y], axis=-1))
+        px = registration.camera.project(registration.homographies[frame], points)
+        px = np.nan_to_num(px, nan=-10.0).astype(np.float32)
+        out[top : top + _ROWS] = cv2.remap(
+            image, px[..., 0], px[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT
+        )
+    return out
+
+
+def _all_added(
+    data: Accumulation,
+    frames: NDArray[np.intp],
+    windows: list[HrGrid],
+    begin: float,
+    end: float,
+) -> Generator[Progress, None, list[Trial]]:
+    """Let all frames enter; returns what they show of some windows."""
+    registration, rays = data.registration, data.equations.model.rays
+    views: list[list[View]] = [[] for _ in windows]
+    for k, i in enumerate(frames):
+        g, weights = data.add(int(i))
+        H, motion = registration.homographies[i], data.motion[i]
+        for window, seen in zip(windows, views, strict=True):
+            view = cut_view(registration.camera, H, rays, window, g, weights, motion)
+            if view is not None:
+                seen.append(view)
+        share = begin + (end - begin) * (k + 1) / frames.size
+        yield Progress(share, f"adding frame {k + 1} of {frames.size}")
+    return [Trial(window, tuple(seen)) for window, seen in zip(windows, views, strict=True)]
+
+
+def _first_look(
+    data: Accumulation, frames: NDArray[np.intp], settings: Settings
+) -> Generator[Progress, None, tuple[Photometry, Image]]:
+    """Look at the module once to learn what the sensor does.
+
+    Returns what it does, and the image as it is without the vignetting.
+    """
+    model, registration = data.equations.model, data.registration
+    yield from _all_added(data, frames, [], 0.05, 0.12)
+    _need_pixels(data)
+    start = first_guess(data.equations)
+    weight = settings.prior_weight
+    if weight is None:
+        weight = typical_prior_weight(settings.prior)
+    problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
+    look = start
+    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
+        look = np.asarray(state.image, np.float32)
+        yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
+    steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
+    photometry = yield from relayed(
+        steps, lambda share: Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
+    )
+    return photometry, look / mean_illumination(photometry, registration, model)
+
+
+def _need_pixels(data: Accumulation) -> None:
+    if data.equations.n_pixels == 0:
+        raise InspectionError(
+            "None of the registered frames shows any part of the module: check rows, cols and the "
+            "crossing points."
+        )
+
+
+def _choose_prior_weight(
+    registration: Registration, trials: list[Trial], sigma: float, prior: PriorName
+) -> Generator[Progress, None, tuple[float, Curve]]:
+    choice = choose_prior_weight(registration.camera, trials, sigma, prior)
+    return (
+        yield from relayed(
+            choice,
+            lambda share: Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels"),
+        )
+    )
+
+
+def _estimate_psf(
+    sequence: Sequence,
+    registration: Registration,
+    photometry: Photometry | None,
+    rays: SensorRays,
+    motion: NDArray[np.float64],
+) -> Generator[Progress, None, float]:
+    """Estimate the optical sigma on the part of the module with the most detail."""
+    grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, _PSF_MAGNIFICATION)
+    used = np.flatnonzero(registration.used)
+    if used.size > _PSF_FRAMES:
+        used = used[np.linspace(0, used.size - 1, _PSF_FRAMES).round().astype(int)]
+    camera, homographies = registration.camera, registration.homographies
+    # One frame, rectified, shows where detail is.
+    look = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
+    smooth = cv2.GaussianBlur(look, (0, 0), max(grid.magnification / 2, 0.5))
+    del look
+    window = window_of(grid, np.asarray(smooth, np.float32))
+    del smooth
+    yield Progress(0.25, "estimating the PSF")
+    views = []
+    for i in used:
+        g, weights = observed(sequence, registration, int(i), photometry)
+        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i])
+        if view is not None:
+            views.append(view)
+    if not views:
+        return TYPICAL_SIGMA_LR_PX
+    estimate = estimate_psf_sigma(camera, window, views)
+    told = "estimating the PSF"
+    return (yield from relayed(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))
+
+
+def brightness_of(image: Image, grid: HrGrid) -> float:
+    """Median intensity of the module; the prior measures contrast against it.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        The whole module.
+    grid : HrGrid
+    """
+    x0, y0 = np.round(grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
+    x1, y1 = np.round(grid.to_pixels(np.asarray(grid.layout.size)) + 0.5).astype(int)
+    return max(float(np.median(image[y0:y1:2, x0:x1:2])), 1e-6)

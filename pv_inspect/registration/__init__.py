@@ -1,0 +1,1 @@
+"""Every frame against the virtual module image (paper, Eq. 6)."""

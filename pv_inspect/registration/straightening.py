@@ -1,0 +1,179 @@
+"""The geometry that all frames share, measured on the gaps of the module image.
+
+Frames that are registered to each other agree to a few thousandths of a pixel, but an error that
+they share, a bend left by kappa above all, is in their mean as well. On a module the gaps between
+the cells are straight and evenly spaced: what they show of a bend is taken out.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.detection.edges import (
+    CellEdges,
+    EdgeOffsets,
+    GapShape,
+    cell_edges,
+    measure_gaps_robustly,
+)
+from pv_inspect.detection.outline import Pose
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import HrGrid
+
+__all__ = ["sharpened", "straighten"]
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+BLUR_LR_PX = 0.6
+"""Standard deviation of the blur of a mean of frames: optics, aperture, interpolation."""
+NOISE_TO_SIGNAL = 0.02
+SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.4)
+"""A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
+SEARCH_UNITS = 0.05
+MIN_GAPS = 30
+"""Fewer do not determine the 11 parameters better than the crossing points of all frames."""
+CAUCHY = 2.385
+"""95 % efficient on normal errors."""
+CENTRE_STD_PX = 1.0
+"""How far the principal point may go from where the calibration put it."""
+
+
+def straighten(
+    module: Image,
+    grid: HrGrid,
+    camera: Camera,
+    homographies: Array,
+    kappa_std: float,
+) -> tuple[Camera, Array] | None:
+    """Choose camera and poses so that the gaps of the module image are where they should be.
+
+    Parameters
+    ----------
+    module : (H, W) float32
+        Mean of the registered frames.
+    grid : HrGrid
+        Where its pixels lie.
+    camera : Camera
+    homographies : (n, 3, 3) float64
+        Poses of the frames, module plane to normalised image coordinates.
+    kappa_std : float
+        How far kappa may go from where it is, standard deviation of a prior. 0 keeps kappa and
+        principal point: only the homography common to all frames is fitted.
+
+    Returns
+    -------
+    Camera, (n, 3, 3) float64, or None
+        None if too few gaps are seen or they do not determine it.
+
+    Notes
+    -----
+    Under the present geometry a gap that belongs at y appears at y + d. A change of the common
+    homography (8 parameters p), of kappa and of the principal point moves what appears there by
+    B(y) p + F(y) q, linear for such small changes; its normal component is fitted to the measured
+    d by robust least squares, Cauchy weights on residuals over the sigma of each gap. F is averaged
+    over the frames, which differ little.
+    """
+    layout = grid.layout
+    edges = cell_edges(layout)
+    plane = Pose(Camera(np.eye(3), 0.0), np.asarray(np.linalg.inv(grid.matrix), np.float64))
+    sharp = sharpened(module, BLUR_LR_PX * grid.magnification)
+    offsets = measure_gaps_robustly(
+        sharp, edges, plane, SEARCH_UNITS, SHARPENED_GAP.scaled(grid.magnification)
+    )
+    if offsets.found.sum() < MIN_GAPS:
+        return None
+    solution = _fit(edges, offsets, camera, homographies, grid, kappa_std)
+    if not np.isfinite(solution).all():
+        return None
+    ideal = layout.crossings()
+    appears = ideal + np.einsum("nki,i->nk", _basis(ideal, camera, homographies, edges), solution)
+    d_kappa, d_x, d_y = -solution[8:]
+    K = camera.K + np.array([[0, 0, d_x], [0, 0, d_y], [0, 0, 0]])
+    fitted = Camera(K, camera.kappa + d_kappa)
+    poses = np.array([_carried(camera, fitted, H, ideal, appears) for H in homographies])
+    return (fitted, poses) if np.isfinite(poses).all() else None
+
+
+def sharpened(image: Image, sigma: float) -> Image:
+    """Take a Gaussian blur out of an image by a Wiener filter.
+
+    Parameters
+    ----------
+    image : (H, W) float32
+    sigma : float
+        Standard deviation of the blur, pixels.
+    """
+    pad = int(np.ceil(6 * sigma))
+    padded = np.pad(image, pad, mode="edge")
+    fy, fx = np.fft.fftfreq(padded.shape[0])[:, None], np.fft.rfftfreq(padded.shape[1])[None]
+    transfer = np.exp(-2 * (np.pi * sigma) ** 2 * (fx**2 + fy**2))
+    wiener = (1 + NOISE_TO_SIGNAL) * transfer / (transfer**2 + NOISE_TO_SIGNAL)
+    out = np.fft.irfft2(np.fft.rfft2(padded) * wiener, padded.shape)
+    return np.asarray(out[pad:-pad, pad:-pad], np.float32)
+
+
+def _fit(
+    edges: CellEdges,
+    offsets: EdgeOffsets,
+    camera: Camera,
+    homographies: Array,
+    grid: HrGrid,
+    kappa_std: float,
+) -> Array:
+    scale = grid.pixels_per_unit / grid.magnification
+    use = offsets.found
+    basis = _basis(edges.middle, camera, homographies, edges)
+    rows = scale * np.einsum("nki,nk->ni", basis, edges.normal)[use]
+    values = scale * offsets.offset[use]
+    sigma = scale * offsets.sigma[use]
+    # Columns of one order; a camera that must stay has a prior without any slack.
+    size = np.maximum(np.abs(rows).max(axis=0), 1e-12)
+    slack = np.array([np.inf] * 8 + [kappa_std] + [CENTRE_STD_PX if kappa_std > 0 else 0.0] * 2)
+    slack = np.maximum(slack, 1e-12)
+    prior = np.diag(1 / (slack * size))
+    weight, usual = np.ones(len(values)), 1.0
+    for _ in range(30):
+        w = np.sqrt(weight) / (usual * sigma)
+        design = np.vstack([rows / size * w[:, None], prior])
+        solution, *_ = np.linalg.lstsq(design, np.append(values * w, np.zeros(11)), rcond=None)
+        residual = (values - rows / size @ solution) / sigma
+        usual = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        weight = 1 / (1 + (residual / (CAUCHY * usual)) ** 2)
+    return np.asarray(solution / size)
+
+
+def _basis(points: Array, camera: Camera, homographies: Array, edges: CellEdges) -> Array:
+    """Displacements in the module plane: 8 of a homography, then kappa, cx, cy; (n, 2, 11)."""
+    centre = edges.middle.mean(axis=0)
+    x, y = ((points - centre) / np.ptp(edges.middle, axis=0).max()).T
+    one, zero = np.ones_like(x), np.zeros_like(x)
+    plane = np.stack(
+        [
+            np.stack([one, x, y, zero, zero, zero, x * x, x * y], axis=-1),
+            np.stack([zero, zero, zero, one, x, y, x * y, y * y], axis=-1),
+        ],
+        axis=1,
+    )
+    moved = np.zeros((len(points), 2, 3))
+    for H in homographies:
+        derivatives = camera.derivatives(H, points)
+        by_camera = np.concatenate(
+            [derivatives.d_kappa[..., None], derivatives.d_intrinsics[..., 2:]], axis=-1
+        )
+        # The pixel stays, so the point of the module that it shows moves the other way.
+        moved -= np.linalg.solve(derivatives.d_module, by_camera)
+    return np.concatenate([plane, moved / len(homographies)], axis=-1)
+
+
+def _carried(before: Camera, after: Camera, H: Array, ideal: Array, appears: Array) -> Array:
+    """Pose of one frame under the new camera, from where the crossing points appear in it."""
+    rays = after.undistort(after.to_normalised(before.project(H, appears)))
+    seen = np.isfinite(rays).all(axis=1)
+    found = cv2.findHomography(ideal[seen], rays[seen], 0)[0] if seen.sum() >= 4 else None
+    if found is None:
+        return np.full((3, 3), np.nan)
+    new = np.asarray(found, np.float64)
+    return new * np.sign(new[2, 2] * H[2, 2]) if H[2, 2] else new

@@ -1,0 +1,1 @@
+"""The result folder and the records in it."""

@@ -1,0 +1,193 @@
+"""What ``result.json`` and ``geometry.json`` hold, checked before anything is made of it.
+
+Names are those of the files. What results of earlier versions do not say has a default.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pv_inspect.common.records import Flag, Matrix3, Number, Pair, Place, Record, Text, Whole
+from pv_inspect.cracks import OperatingPoint
+
+__all__ = ["GeometryRecord", "ResultRecord"]
+
+_Open = Number | None
+_OpenPair = tuple[_Open, _Open]
+_OpenMatrix = tuple[tuple[_Open, _Open, _Open], tuple[_Open, _Open, _Open],
+                    tuple[_Open, _Open, _Open]]  # fmt: skip
+_Cells = Annotated[int, Field(strict=True, ge=1, le=1000)]
+_Share = Annotated[float, Field(strict=True, ge=0, le=1)]
+_Above0 = Annotated[float, Field(strict=True, gt=0, le=1e5)]
+
+
+class LayoutRecord(Record):
+    """Rows and columns of cells."""
+
+    rows: _Cells
+    cols: _Cells
+    cell_aspect: Annotated[float, Field(strict=True, ge=0.1, le=10)]
+
+    @property
+    def n_crossings(self) -> int:
+        """Number of crossing points, outer ones included."""
+        return (self.rows + 1) * (self.cols + 1)
+
+
+class CameraRecord(Record):
+    """Intrinsic matrix and distortion."""
+
+    K: Matrix3
+    kappa: Number
+
+
+class EditRecord(Record):
+    """A crossing point that a person has set, or removed: then ``px`` is None."""
+
+    row: Place
+    col: Place
+    px: Pair | None
+
+
+class FrameRecord(Record):
+    """What became of a frame; see `pv_inspect.results.write.FrameResult`."""
+
+    file: Text
+    used: Flag
+    why: Text
+    crossings_px: list[_OpenPair] | None
+    H: Matrix3 | None
+    gain: _Open
+    offset: _Open
+    rms: _Open
+    residual: _Open = None
+    motion_px_deg: Pair | None = None
+    edits: tuple[EditRecord, ...] = ()
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if self.used and (self.H is None or self.gain is None):
+            raise ValueError("is used but has no H or gain")
+        if self.H is not None and not _can_be_inverted(self.H):
+            raise ValueError("has an H that can't be inverted")
+        return self
+
+
+class SolverRecord(Record):
+    """How the reconstruction went."""
+
+    objective: list[_Open]
+    iterations: Whole
+    converged: Flag
+
+
+class SourceRecord(Record):
+    """Where the frames lie."""
+
+    path: Text | list[Text] | None = None
+    relative: Text | list[Text | None] | None = None
+
+
+class ResultRecord(Record):
+    """``result.json``."""
+
+    layout: LayoutRecord
+    camera: CameraRecord
+    frames: Annotated[list[FrameRecord], Field(min_length=1)]
+    settings: dict[str, Any]
+    origin_px: Pair
+    pixels_per_cell: tuple[_Above0, _Above0]
+    magnification: _Above0
+    crack_threshold: _Share
+    crack_detector: Text
+    crack_least_extent_cells: Annotated[float, Field(strict=True, ge=0, le=10)] = (
+        OperatingPoint.least_extent_cells
+    )
+    prior_weight: _Open
+    psf_sigma_lr_px: _Open
+    solver: SolverRecord
+    lambda_curve: tuple[_OpenPair, ...] = ()
+    seconds: dict[str, Number]
+    warnings: list[Text]
+    doubts: tuple[Text, ...] = ()
+    versions: dict[str, Text]
+    source: SourceRecord = SourceRecord()
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        n = self.layout.n_crossings
+        for frame in self.frames:
+            if frame.crossings_px is not None and len(frame.crossings_px) != n:
+                raise ValueError(
+                    f"has {len(frame.crossings_px)} crossings_px in {frame.file[:40]!r}, "
+                    f"{self.layout.rows} x {self.layout.cols} cells have {n}"
+                )
+        names = [frame.file for frame in self.frames]
+        if len(set(names)) < len(names):
+            raise ValueError("has two frames with the same file")
+        along, across = self.pixels_per_cell
+        if abs(along / self.layout.cell_aspect - across) > 0.01 * across:
+            raise ValueError("has pixels_per_cell that do not go with its cell_aspect")
+        return self
+
+
+class FrameGeometry(Record):
+    """See `pv_inspect.detection.crossings.FrameCrossings`."""
+
+    points_px: list[_OpenPair]
+    sigma_px: list[Annotated[float, Field(strict=True, ge=0, le=1e15)] | None]
+    measured: list[Flag]
+    why: Text
+    edited: list[Flag] | None = None
+
+
+class FitRecord(Record):
+    """See `pv_inspect.calibration.calibrate.Calibration`."""
+
+    homographies: list[_OpenMatrix]
+    used: list[Flag]
+    why: list[Text]
+    rms_px: list[_Open]
+    focal_convention: Flag
+    kappa_std: _Open
+    crossing_sigma_px: list[list[_Open]] | None = None
+
+
+class GeometryRecord(Record):
+    """``geometry.json``."""
+
+    crossings: list[FrameGeometry]
+    calibration: FitRecord
+    camera: CameraRecord
+
+    def misfit(self, n_crossings: int) -> str | None:
+        """Say which list is not as long as a layout with so many crossings wants it."""
+        fit, n = self.calibration, len(self.crossings)
+        lengths = {
+            f"crossings[{i}].{name}": (len(values), n_crossings)
+            for i, frame in enumerate(self.crossings)
+            for name, values in frame
+            if isinstance(values, list)
+        }
+        lengths |= {
+            f"calibration.{name}": (len(values), n)
+            for name, values in fit
+            if isinstance(values, list)
+        }
+        for i, row in enumerate(fit.crossing_sigma_px or ()):
+            lengths[f"calibration.crossing_sigma_px[{i}]"] = (len(row), n_crossings)
+        for name, (found, expected) in lengths.items():
+            if found != expected:
+                return f"{name} has {found} entries, expected are {expected}"
+        for i, (H, used) in enumerate(zip(fit.homographies, fit.used, strict=True)):
+            if used and (any(v is None for row in H for v in row) or not _can_be_inverted(H)):
+                return f"calibration.homographies[{i}] can't be inverted"
+        return None
+
+
+def _can_be_inverted(H: Any) -> bool:
+    # Those of photographs have a condition number of 1 to 1000.
+    return bool(np.linalg.cond(np.array(H, np.float64)) < 1e9)

@@ -1,0 +1,1 @@
+"""The frames: found on disk, checked, read, and what the sensor did to them."""

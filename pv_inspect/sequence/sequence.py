@@ -1,0 +1,395 @@
+"""The sequence of frames: lazy, checked before anything runs, delivered in full-scale units."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.errors import InspectionError, printable
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.sequence.copies import FrameContents
+from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame
+from pv_inspect.sequence.frame_list import existing_image, list_frames
+from pv_inspect.sequence.noise import NoiseModel, estimate_noise
+from pv_inspect.sequence.sensor import (
+    black_level,
+    column_offsets,
+    defective_pixels,
+    effective_depth,
+    fill_pixels,
+    flat_field,
+    temporal_median,
+)
+from pv_inspect.sequence.sidecar import read_sidecar
+from pv_inspect.settings import Settings
+
+__all__ = ["Frame", "NoiseModel", "Sequence", "cached_frames"]
+
+Raw = NDArray[np.unsignedinteger]
+
+_SMALLEST_SIDE_PX = 32
+# Frames that the sensor's properties are estimated from; more add time, not knowledge.
+_SAMPLE_FRAMES = 24
+_SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
+_CACHED_FRAMES, _LAST_FRAMES = 64, 8
+_CACHED_BYTES = 128 * 2**20
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame ready for use.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+        Black-subtracted intensity, full scale = 1, divided by the flat field if there is one;
+        defective pixels are filled from their neighbours. Saturated areas keep what the camera
+        said. Read-only.
+    valid : (height, width) bool
+        False: saturated, hot or dead. Read-only.
+    """
+
+    image: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+
+
+def cached_frames(n_frames: int, shape: tuple[int, int]) -> int:
+    """Return how many of the frames, (height, width), are kept ready for use, 5 bytes a pixel.
+
+    All of them, or the last few: of a pass over more frames than are kept, none is there any more
+    when the next pass comes to it.
+    """
+    fitting = int(np.clip(_CACHED_BYTES // (5 * shape[0] * shape[1]), 2, _CACHED_FRAMES))
+    return n_frames if n_frames <= fitting else min(fitting, _LAST_FRAMES)
+
+
+class _FrameCache:
+    """The frames used last, for several threads; travels empty through pickle."""
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._frames: OrderedDict[int, Frame] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, index: int) -> Frame | None:
+        with self._lock:
+            if index in self._frames:
+                self._frames.move_to_end(index)
+            return self._frames.get(index)
+
+    def put(self, index: int, frame: Frame) -> None:
+        with self._lock:
+            self._frames[index] = frame
+            while len(self._frames) > self._capacity:
+                self._frames.popitem(last=False)
+
+    def __reduce__(self) -> tuple[type[_FrameCache], tuple[int]]:
+        return _FrameCache, (self._capacity,)
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """Frames of one module taken by one camera; lazy and immutable.
+
+    Open one with :meth:`Sequence.open`. It holds the sensor's properties and file names; pixels
+    are read when asked for (the frames used last stay in a small cache). Reading from several
+    threads is safe, and it pickles.
+
+    Parameters
+    ----------
+    names : tuple of str
+        File name per frame: ``frame_003.tif``, or ``stack.tif[3]`` for a page.
+    shape : tuple of int
+        (height, width) of every frame.
+    bit_depth : int
+        Bits that the camera delivers, for instance 12 though stored in 16.
+    full_scale : float
+        DN at saturation.
+    black_level : float
+        DN without light: estimated, or the median of the dark frame. :meth:`frame` subtracts it
+        together with the fixed offsets of the columns (or the dark frame pixel by pixel).
+    layout_hint : dict
+        What ``module.json`` says of "rows", "cols", "cell_aspect"; empty if there is none.
+    source : Path
+        What was opened; the folder of the first one for a list of files.
+    noise : NoiseModel
+        Variance over intensity, full-scale units.
+    defects : (height, width) bool
+        Hot and dead pixels of the sensor.
+    opened_from : Path or tuple of Path
+        What :meth:`open` was given, absolute: it opens the same frames again.
+    copies : mapping of int to int
+        Frames that repeat another one, bit for bit or with its noise, and that frame. They are no
+        measurements of their own: nothing is estimated from them.
+    warnings : tuple of str
+        What is worth knowing about the files.
+    """
+
+    names: tuple[str, ...]
+    shape: tuple[int, int]
+    bit_depth: int
+    full_scale: float
+    black_level: float
+    layout_hint: dict[str, Any]
+    source: Path
+    noise: NoiseModel
+    defects: NDArray[np.bool_] = field(repr=False)
+    _files: tuple[FrameFile, ...] = field(repr=False)
+    # (width,) or, out of a dark frame, (height, width); DN.
+    _black: NDArray[np.float32] = field(repr=False)
+    _cache: _FrameCache = field(repr=False)
+    # (height, width) relative response out of a flat frame, 0 where there is none.
+    _flat: NDArray[np.float32] | None = field(default=None, repr=False)
+    opened_from: Path | tuple[Path, ...] = ()
+    copies: Mapping[int, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @classmethod
+    def open(
+        cls,
+        source: Path | str | Iterable[Path | str],
+        dark_frame: Path | str | None = None,
+        flat_frame: Path | str | None = None,
+        limits: ReadLimits | None = None,
+    ) -> Sequence:
+        """Open frames and check all of them.
+
+        Parameters
+        ----------
+        source : path or paths
+            A folder of 8- or 16-bit TIFF or PNG files (or one that holds such a folder called
+            ``frames``), a TIFF of several pages, or a list of files. A folder is read in natural
+            order (frame_2 before frame_10), a list in its own.
+        dark_frame : path, optional
+            Image taken without current with the same camera and exposure.
+        flat_frame : path, optional
+            Image of an evenly bright surface taken with the same camera and lens.
+        limits : ReadLimits, optional
+            What is read at most, `Settings.read_limits`; the default limits if not given.
+
+        Raises
+        ------
+        InspectionError
+            If anything is missing, unreadable, of different sizes or of the wrong type.
+        """
+        limits = limits or ReadLimits()
+        if not isinstance(source, (str, Path)):
+            source = list(source)
+        found = list_frames(source, limits)
+        root, files, names = found.root, found.files, found.names
+        hint = read_sidecar(root, list(found.paths))
+        contents = FrameContents()
+        shape, maximum, used_bits = _check(files, names, contents)
+        copies = contents.copies(lambda index: read_frame(files[index]))
+        dtype = files[0].dtype
+        dark = None
+        if dark_frame is not None:
+            dark = _read_reference(Path(dark_frame), "dark", shape, dtype, limits)
+            maximum = max(maximum, int(dark.max()))
+            used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
+        depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
+
+        distinct = [file for index, file in enumerate(files) if index not in copies]
+        most = max(_LEAST_SAMPLES, _SAMPLE_BYTES // (dtype.itemsize * shape[0] * shape[1]))
+        n_picks = min(len(distinct), _SAMPLE_FRAMES, most)
+        picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
+        stack = np.stack([read_frame(distinct[int(i)]) for i in picks])
+        defects = defective_pixels(stack, full_scale)
+        if dark is None:
+            columns = column_offsets(stack, full_scale)
+            level = min(black_level(temporal_median(stack) - columns), 0.5 * full_scale)
+            black = columns + np.float32(level)
+        else:
+            black, level = dark.astype(np.float32), float(np.median(dark))
+            bright = float(np.percentile(temporal_median(stack), 99.0))
+            if level >= full_scale or level > bright:
+                raise InspectionError(
+                    f"The dark frame {dark_frame} has a median of {level:g} DN and is brighter "
+                    f"than the frames ({bright:g} DN): give the image taken without current."
+                )
+            defects |= defective_pixels(dark[None], full_scale)
+        defects.flags.writeable = False
+        flat = None
+        if flat_frame is not None:
+            exposed = _read_reference(Path(flat_frame), "flat", shape, dtype, limits)
+            try:
+                flat = flat_field(exposed, black, full_scale)
+            except ValueError as error:
+                raise InspectionError(
+                    f"The flat frame {flat_frame} {error}: take an evenly bright surface that "
+                    "fills the image, well exposed but not saturated."
+                ) from None
+            defects = defects | (flat == 0.0)
+            defects.flags.writeable = False
+        frames = [
+            _prepare(raw, black, level, full_scale, defects, flat)
+            for raw in stack[:: max(1, len(stack) // 8)]
+        ]
+        noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
+        return cls(
+            names,
+            shape,
+            depth,
+            full_scale,
+            level,
+            hint,
+            root,
+            noise,
+            defects,
+            files,
+            black,
+            _FrameCache(cached_frames(len(names), shape)),
+            flat,
+            root.absolute()
+            if isinstance(source, (str, Path))
+            else tuple(path.absolute() for path in found.paths),
+            copies,
+            found.warnings,
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def raw(self, index: int) -> Raw:
+        """Read frame ``index`` as stored: (height, width) uint8 or uint16, DN."""
+        return read_frame(self._files[index])
+
+    def frame(self, index: int) -> Frame:
+        """Return frame ``index`` ready for use.
+
+        Raises
+        ------
+        InspectionError
+            If the file has become unreadable since the sequence was opened.
+        """
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"Frame {index} of a sequence of {len(self)}.")
+        index %= len(self)
+        frame = self._cache.get(index)
+        if frame is None:
+            frame = _prepare(
+                self.raw(index),
+                self._black,
+                self.black_level,
+                self.full_scale,
+                self.defects,
+                self._flat,
+            )
+            self._cache.put(index, frame)
+        return frame
+
+    def indices(self, names: Iterable[str]) -> list[int]:
+        """Return the indices of frames given by name.
+
+        Raises
+        ------
+        InspectionError
+            If there is no such frame.
+        """
+        where = {name: index for index, name in enumerate(self.names)}
+        wanted = [printable(name) for name in names]
+        unknown = [name for name in wanted if name not in where]
+        if unknown:
+            raise InspectionError(
+                f"There is no frame '{unknown[0]}' in {self.source}: its frames are called "
+                f"{self.names[0]} to {self.names[-1]}."
+            )
+        return [where[name] for name in wanted]
+
+    def layout(self, settings: Settings) -> ModuleLayout:
+        """Return the module's layout; settings win over ``module.json``.
+
+        Raises
+        ------
+        InspectionError
+            If neither says how many rows and columns of cells the module has.
+        """
+        known = dict(self.layout_hint)
+        for key in ("rows", "cols", "cell_aspect"):
+            if getattr(settings, key) is not None:
+                known[key] = getattr(settings, key)
+        missing = [key for key in ("rows", "cols") if key not in known]
+        if missing:
+            raise InspectionError(
+                f"The number of {' and '.join(missing)} of cells is unknown for {self.source}: "
+                f"give {' and '.join('--' + key for key in missing)}, or put a module.json with "
+                "rows and cols beside the frames."
+            )
+        return ModuleLayout(known["rows"], known["cols"], float(known.get("cell_aspect", 1.0)))
+
+
+def _prepare(
+    raw: Raw,
+    black: NDArray[np.float32],
+    level: float,
+    full_scale: float,
+    defects: NDArray[np.bool_],
+    flat: NDArray[np.float32] | None,
+) -> Frame:
+    image = (raw.astype(np.float32) - black) / np.float32(full_scale - level)
+    if flat is not None:
+        np.divide(image, flat, out=image, where=flat > 0.0)
+    valid = (raw < full_scale) & ~defects
+    image = fill_pixels(image, defects, valid)
+    image.flags.writeable = False
+    valid.flags.writeable = False
+    return Frame(image, valid)
+
+
+def _check(
+    files: tuple[FrameFile, ...], names: tuple[str, ...], contents: FrameContents
+) -> tuple[tuple[int, int], int, int]:
+    """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
+    shape = Counter(file.shape for file in files).most_common(1)[0][0]
+    dtype = Counter(file.dtype for file in files).most_common(1)[0][0]
+    maximum, used_bits = 0, 0
+    # What the headers say comes first: nothing is decoded in vain.
+    for name, file in zip(names, files, strict=True):
+        if file.shape != shape:
+            raise InspectionError(
+                f"{name} is {file.shape[1]} x {file.shape[0]}, the sequence is {shape[1]} x "
+                f"{shape[0]}: remove it or load it as its own sequence."
+            )
+        if file.dtype != dtype:
+            raise InspectionError(
+                f"{name} has {8 * file.dtype.itemsize} bits, the sequence has "
+                f"{8 * dtype.itemsize}: remove it or export all frames alike."
+            )
+    if min(shape) < _SMALLEST_SIDE_PX:
+        raise InspectionError(
+            f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
+            f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
+        )
+    for file in files:
+        image = read_frame(file)
+        maximum = max(maximum, int(image.max()))
+        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
+        contents.add(image)
+    return shape, maximum, used_bits
+
+
+def _read_reference(
+    path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any], limits: ReadLimits
+) -> Raw:
+    """Read a dark or flat frame, the median of its pages."""
+    files = expand(existing_image(path), limits)
+    for file in files:
+        if file.shape != shape or file.dtype != dtype:
+            raise InspectionError(
+                f"The {kind} frame {path} is {file.shape[1]} x {file.shape[0]} with "
+                f"{8 * file.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
+                f"{8 * dtype.itemsize}: take it with the same camera settings."
+            )
+    pages = [read_frame(file) for file in files]
+    if len(pages) == 1:
+        return pages[0]
+    median: Raw = temporal_median(np.stack(pages)).astype(dtype)
+    return median
