@@ -27,7 +27,7 @@ from qtpy.QtTest import QTest
 from workbench_window import Heartbeat, Times, opened, settle
 
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 
 
 def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:

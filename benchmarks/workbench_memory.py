@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 from workbench_window import opened, settle
 
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 
 LIMIT_S = 300.0
 

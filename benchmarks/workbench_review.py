@@ -22,7 +22,7 @@ from qtpy.QtWidgets import QWidget
 from workbench_window import Heartbeat, Times, opened, settle
 
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.review import VerdictKind
 
 LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier

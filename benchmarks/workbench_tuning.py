@@ -24,13 +24,13 @@ from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.cell_renderer import CellPicture, CellRenderer
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.docks.live_dock import LiveDock
-from napari_pv_inspect.docks.live_place import show_live_cell
-from napari_pv_inspect.memory import few_arenas, left_alone
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.docks.live_cell import LiveDock
+from napari_pv_inspect.docks.placing import show_live_cell
+from napari_pv_inspect.live.cell_renderer import CellPicture, CellRenderer
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import sample_folder
+from napari_pv_inspect.tasks.memory import few_arenas, left_alone
 from pv_inspect.pipeline import Inspection, inspect, run_to_end
 from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings, Stage

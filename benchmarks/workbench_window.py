@@ -15,8 +15,8 @@ from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.memory import few_arenas
 from napari_pv_inspect.sample import sample_folder
+from napari_pv_inspect.tasks.memory import few_arenas
 
 SIZE = (1280, 800)
 LIMIT_S = 30.0

@@ -25,7 +25,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 
 __all__ = ["SIZE", "Expert"]
 

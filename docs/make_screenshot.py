@@ -15,7 +15,7 @@ import napari
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import sample_folder
 
 SIZE = (1600, 960)

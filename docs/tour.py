@@ -24,8 +24,8 @@ from qtpy.QtCore import QPoint, QPointF, Qt
 from qtpy.QtWidgets import QPushButton, QWidget
 
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.frame_table import ticked
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.frame_table import ticked
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import sample_folder
 from pv_inspect.review import Cell, ReviewStore, Verdict, VerdictKind
 

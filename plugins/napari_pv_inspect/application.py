@@ -6,9 +6,9 @@ from pathlib import Path
 
 import napari
 
-from napari_pv_inspect.docks.cells import CellsDock
+from napari_pv_inspect.docks.gallery import CellsDock
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.memory import few_arenas, left_alone
+from napari_pv_inspect.tasks.memory import few_arenas, left_alone
 
 __all__ = ["build", "run"]
 

@@ -39,14 +39,14 @@ def get_reader(path: str | Sequence[str]) -> Reader | None:
 
 def read_sequence(path: Any) -> list[LayerData]:
     """Read frames as one lazy stack."""
-    from napari_pv_inspect.sources import open_sequence, sequence_layer
+    from napari_pv_inspect.layers.layer_data import open_sequence, sequence_layer
 
     return _or_notice(lambda: [sequence_layer(open_sequence(path))])
 
 
 def read_result(path: Any) -> list[LayerData]:
     """Read the module image, its support and its cracks."""
-    from napari_pv_inspect.sources import result_layers
+    from napari_pv_inspect.layers.layer_data import result_layers
 
     return _or_notice(lambda: result_layers(Path(path)))
 

@@ -15,30 +15,30 @@ from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from qtpy.QtWidgets import QDialog
 from superqt.utils import qthrottled
 
-from napari_pv_inspect.drops import DropTaker
-from napari_pv_inspect.guesser import LayoutGuesser
-from napari_pv_inspect.history import History
-from napari_pv_inspect.kappa_curve import KappaCurve
+from napari_pv_inspect.io.drops import DropTaker
+from napari_pv_inspect.io.opener import Opener
+from napari_pv_inspect.io.saver import Saver
 from napari_pv_inspect.layers.corrections import CorrectionLayers
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.geometry import GeometryLayers
+from napari_pv_inspect.layers.layer_data import RESULT_KEY
 from napari_pv_inspect.layers.module import ModuleLayers
+from napari_pv_inspect.layers.navigation import Navigator
 from napari_pv_inspect.layers.points import PointsLayer
-from napari_pv_inspect.live import LiveKappa
-from napari_pv_inspect.live_cell import LiveCell
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.navigation import Navigator
-from napari_pv_inspect.opener import Opener
-from napari_pv_inspect.point_editor import PointEditor
-from napari_pv_inspect.recalibration import Recalibration
-from napari_pv_inspect.reviewer import Reviewer
-from napari_pv_inspect.saver import Saver
-from napari_pv_inspect.session_keeper import SessionKeeper
-from napari_pv_inspect.shortcuts import Key, Shortcuts
-from napari_pv_inspect.sources import RESULT_KEY
-from napari_pv_inspect.trial_keeper import TrialKeeper
-from napari_pv_inspect.tuning import Tuning
-from napari_pv_inspect.worker import RunController
+from napari_pv_inspect.live.cell import LiveCell
+from napari_pv_inspect.live.grid import LiveKappa
+from napari_pv_inspect.live.kappa_curve import KappaCurve
+from napari_pv_inspect.live.layout_guess import LayoutGuesser
+from napari_pv_inspect.live.recalibration import Recalibration
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.models.point_editor import PointEditor
+from napari_pv_inspect.models.trials import Tuning
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.review.controller import Reviewer
+from napari_pv_inspect.session.trials import TrialKeeper
+from napari_pv_inspect.session.view_state import SessionKeeper
+from napari_pv_inspect.tasks.run import RunController
+from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.write import Result
 

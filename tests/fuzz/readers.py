@@ -108,7 +108,7 @@ def _settings(folder: Path, _: Args) -> None:
 
 
 def _preset(folder: Path, args: Args) -> None:
-    from napari_pv_inspect.presets import PresetShelf
+    from napari_pv_inspect.models.presets import PresetShelf
 
     shelf = PresetShelf(folder / "presets")
     for name in shelf.names():

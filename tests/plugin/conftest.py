@@ -19,7 +19,7 @@ REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
 from qtpy.QtCore import QSettings  # noqa: E402 (Qt reads the platform on import)
 
 from napari_pv_inspect.application import build  # noqa: E402
-from napari_pv_inspect.docks.cells import CellsDock  # noqa: E402
+from napari_pv_inspect.docks.gallery import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
 from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end  # noqa: E402
 from pv_inspect.sequence.sequence import Sequence  # noqa: E402

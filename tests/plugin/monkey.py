@@ -16,9 +16,9 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.history import Action
 from napari_pv_inspect.layers.points import PointsLayer
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.history import Action
+from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
 
 __all__ = ["Monkey"]

@@ -16,7 +16,7 @@ from qtpy.QtCore import Qt
 
 from napari_pv_inspect.appearance import GRID_COLOUR, MEASURED_COLOUR
 from napari_pv_inspect.application import build
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
 from pv_inspect.sequence.sequence import Sequence
 

@@ -21,12 +21,12 @@ from qtpy.QtWidgets import (
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.cell import CellDock
-from napari_pv_inspect.docks.cells import CellsDock
-from napari_pv_inspect.docks.elided import ElidedLabel
-from napari_pv_inspect.docks.hand import style
+from napari_pv_inspect.docks.gallery import CellsDock
 from napari_pv_inspect.docks.inspect import WIDTH
-from napari_pv_inspect.docks.live_place import show_live_cell
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.docks.placing import show_live_cell
+from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.widgets.elided import ElidedLabel
+from napari_pv_inspect.widgets.style import style
 from pv_inspect.sequence.sequence import Sequence
 
 SIZE = (1280, 800)

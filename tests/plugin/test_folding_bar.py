@@ -5,7 +5,7 @@ from __future__ import annotations
 from pytestqt.qtbot import QtBot
 from qtpy.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
-from napari_pv_inspect.docks.folding_bar import FoldingBar
+from napari_pv_inspect.widgets.folding_bar import FoldingBar
 
 
 def test_it_folds_where_there_is_no_room_for_one_row(qtbot: QtBot) -> None:

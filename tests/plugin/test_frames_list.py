@@ -9,9 +9,9 @@ from pytestqt.qtbot import QtBot
 from qtpy.QtCore import QModelIndex, QPoint, Qt
 from qtpy.QtWidgets import QApplication
 
-from napari_pv_inspect.docks.frames_box import GRID, NAME, STATUS
-from napari_pv_inspect.frame_table import FrameRow, frame_rows, ticked
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.docks.pages.frames import GRID, NAME, STATUS
+from napari_pv_inspect.models.frame_table import FrameRow, frame_rows, ticked
+from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.pipeline import Inspection
 from pv_inspect.registration.register import LEFT_OUT
 from pv_inspect.sequence.sequence import Sequence

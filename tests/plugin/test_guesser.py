@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from pytestqt.qtbot import QtBot
 
-from napari_pv_inspect.guesser import LayoutGuesser
-from napari_pv_inspect.model import WorkbenchModel
+from napari_pv_inspect.live.layout_guess import LayoutGuesser
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.sequence import Sequence
@@ -22,7 +22,7 @@ def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(
         asked.append((settings.rows, inside))
         return LayoutGuess(ModuleLayout(3, 4 if inside is None else 7), 0.9, ())
 
-    monkeypatch.setattr("napari_pv_inspect.guesser.guess_layout", guess)
+    monkeypatch.setattr("napari_pv_inspect.live.layout_guess.guess_layout", guess)
     model = WorkbenchModel()
     guesser = LayoutGuesser(model)
     model.open(replace(tiny_sequence, layout_hint={}))

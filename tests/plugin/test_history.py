@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from napari_pv_inspect.history import Action, History
+from napari_pv_inspect.models.history import Action, History
 
 
 def put(values: list[int], value: int) -> Action:

@@ -13,11 +13,11 @@ from qtpy.QtCore import QRect
 from qtpy.QtGui import QImage, QPainter
 from qtpy.QtWidgets import QStyleOptionViewItem
 
-from napari_pv_inspect.docks.steps import COLOURS
-from napari_pv_inspect.docks.told import Told
+from napari_pv_inspect.docks.pages.workflow import COLOURS
 from napari_pv_inspect.layers.frames import CAPTION_LETTERS
-from napari_pv_inspect.model import RunState
-from napari_pv_inspect.steps import Status, steps_of
+from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.models.workflow import Status, steps_of
+from napari_pv_inspect.widgets.wrapped_text import Told
 from pv_inspect.cracks import CellState
 from pv_inspect.doubts import doubts_of
 from pv_inspect.errors import InspectionError

@@ -13,7 +13,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_pv_inspect.docks.large_cell import LargeCell, large_cell
-from napari_pv_inspect.docks.panel_grid import areas
+from napari_pv_inspect.widgets.panel_grid import areas
 from pv_inspect.pipeline import Inspection
 
 LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier

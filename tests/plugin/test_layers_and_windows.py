@@ -10,7 +10,7 @@ import pytest
 from pytestqt.qtbot import QtBot
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.review import ReviewStore, VerdictKind
 
 LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support", "Cracks")

@@ -11,8 +11,8 @@ import pytest
 from pytestqt.qtbot import QtBot
 from qtpy.QtGui import QImage
 
-from napari_pv_inspect.docks.curve_view import CurveView
-from napari_pv_inspect.kappa_curve import Curve
+from napari_pv_inspect.live.kappa_curve import Curve
+from napari_pv_inspect.widgets.kappa_plot import CurveView
 
 
 @pytest.fixture

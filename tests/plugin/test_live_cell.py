@@ -15,7 +15,12 @@ from qtpy.QtGui import QImage
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication, QDockWidget
 
-from napari_pv_inspect.cell_renderer import (
+from napari_pv_inspect.docks.gallery import CellsDock
+from napari_pv_inspect.docks.inspect import InspectDock
+from napari_pv_inspect.docks.live_cell import LiveDock
+from napari_pv_inspect.docks.placing import show_live_cell
+from napari_pv_inspect.live.cell import Source
+from napari_pv_inspect.live.cell_renderer import (
     CellRenderer,
     best_frame,
     bicubic_cell,
@@ -23,14 +28,9 @@ from napari_pv_inspect.cell_renderer import (
     registration_for,
     run_cell,
 )
-from napari_pv_inspect.docks.cells import CellsDock
-from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.docks.lambda_plot import LambdaPlot
-from napari_pv_inspect.docks.live_dock import LiveDock
-from napari_pv_inspect.docks.live_place import show_live_cell
-from napari_pv_inspect.docks.swipe_view import SwipeView, grey_image
-from napari_pv_inspect.live_cell import Source
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.widgets.lambda_plot import LambdaPlot
+from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight

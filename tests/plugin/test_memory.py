@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from weakref import ref
 
-from napari_pv_inspect.memory import left_alone
+from napari_pv_inspect.tasks.memory import left_alone
 
 
 class Ring:

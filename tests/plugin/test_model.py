@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_pv_inspect.model import RunState, WorkbenchModel, best_start
+from napari_pv_inspect.models.workbench import RunState, WorkbenchModel, best_start
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout

@@ -7,7 +7,7 @@ from threading import Event
 
 import pytest
 
-from napari_pv_inspect.newest import NewestWins
+from napari_pv_inspect.tasks.newest_request import NewestWins
 
 LONG = 10.0
 

@@ -16,7 +16,7 @@ from qtpy.QtGui import QDragEnterEvent, QDropEvent
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.session import Session, read_session, write_session

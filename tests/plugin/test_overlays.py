@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from napari_pv_inspect.coordinates import in_frame, segments_in_frame, to_world
-from napari_pv_inspect.overlays import (
+from napari_pv_inspect.layers.overlays import (
     SEGMENTS_PER_CELL,
     crossing_marks,
     frame_grid,
     grid_of_frames,
     grid_segments,
 )
-from napari_pv_inspect.placement import cell_box, module_placement
+from napari_pv_inspect.layers.placement import cell_box, module_placement
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.pipeline import Inspection

@@ -11,7 +11,7 @@ from qtpy.QtCore import Qt
 
 from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.points import COLOURS
-from napari_pv_inspect.model import RunState
+from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.settings import Stage
 
 

@@ -9,10 +9,10 @@ import pytest
 from qtpy.QtWidgets import QInputDialog, QMenu, QMessageBox
 
 from napari_pv_inspect.docks.preset_menu import PresetMenu
-from napari_pv_inspect.history import History
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
-from napari_pv_inspect.tuning import Tuning
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
+from napari_pv_inspect.models.trials import Tuning
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 

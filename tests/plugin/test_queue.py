@@ -7,8 +7,8 @@ from weakref import ref
 import pytest
 from pytestqt.qtbot import QtBot
 
-from napari_pv_inspect.model import RunState, WorkbenchModel
-from napari_pv_inspect.worker import RunController
+from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
+from napari_pv_inspect.tasks.run import RunController
 from pv_inspect.errors import InspectionError
 from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Stage

@@ -11,8 +11,8 @@ import tifffile
 from npe2 import PluginManifest
 
 import napari_pv_inspect
+from napari_pv_inspect.layers.layer_data import RESULT_KEY, SEQUENCE_KEY
 from napari_pv_inspect.reader import get_reader, read_result, read_sequence
-from napari_pv_inspect.sources import RESULT_KEY, SEQUENCE_KEY
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import Sequence

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from napari_pv_inspect.remaining import remaining_s, remaining_text
+from napari_pv_inspect.models.remaining_time import remaining_s, remaining_text
 
 
 def test_a_run_of_even_pace_is_foretold_exactly() -> None:

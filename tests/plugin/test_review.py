@@ -19,9 +19,9 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
 from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
 from napari_pv_inspect.docks.gallery_list import BAR, GAP, cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.frame_panels import best_frame, contours
-from napari_pv_inspect.review_journal import Journal
-from napari_pv_inspect.reviewer import LITTLE_PATIENCE_S
+from napari_pv_inspect.live.single_frame import best_frame, contours
+from napari_pv_inspect.review.controller import LITTLE_PATIENCE_S
+from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
@@ -177,7 +177,7 @@ def test_if_nothing_can_be_stored_the_user_decides_about_closing(
     viewer, dock, _ = saved
     popups: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
-    monkeypatch.setattr("napari_pv_inspect.reviewer.PATIENCE_S", 0.1)
+    monkeypatch.setattr("napari_pv_inspect.review.controller.PATIENCE_S", 0.1)
 
     def full(*_: object) -> None:
         raise InspectionError("Nothing more can be stored: the disk is full.")

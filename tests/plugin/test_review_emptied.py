@@ -11,10 +11,10 @@ from pytestqt.qtbot import QtBot
 from qtpy.QtWidgets import QMessageBox
 
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.model import RunState
-from napari_pv_inspect.review_subject import Subject
-from napari_pv_inspect.review_view import NO_CELLS
-from napari_pv_inspect.reviewer import OTHER_GRID, OTHER_LAYOUT
+from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.review.controller import OTHER_GRID, OTHER_LAYOUT
+from napari_pv_inspect.review.queries import NO_CELLS
+from napari_pv_inspect.review.subject import Subject
 from pv_inspect.cells import CellTiles
 from pv_inspect.pipeline import Inspection
 from pv_inspect.review import ReviewStore, VerdictKind

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from napari_pv_inspect.history import History
-from napari_pv_inspect.review_journal import Journal
-from napari_pv_inspect.review_model import ReviewModel
-from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.review.journal import Journal
+from napari_pv_inspect.review.model import ReviewModel
+from napari_pv_inspect.review.subject import Subject
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection
 from pv_inspect.review import ModuleData, ReviewStore, Verdict, VerdictKind

@@ -18,10 +18,10 @@ from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.docks.gallery_list import cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.history import History
-from napari_pv_inspect.review_journal import Journal
-from napari_pv_inspect.review_model import ReviewModel
-from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.review.journal import Journal
+from napari_pv_inspect.review.model import ReviewModel
+from napari_pv_inspect.review.subject import Subject
 from pv_inspect.pipeline import Inspection
 from pv_inspect.review import REVIEW_FILE, ReviewStore, VerdictKind, verdicts_csv
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.steps import Deed, Status, next_step, steps_of
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.models.workflow import Deed, Status, next_step, steps_of
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.pipeline import Inspection, Step

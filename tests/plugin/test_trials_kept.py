@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from napari_pv_inspect.cell_renderer import CellPicture
-from napari_pv_inspect.history import History
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.trial_keeper import TrialKeeper
-from napari_pv_inspect.tuning import Tuning
+from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.models.trials import Tuning
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.session.trials import TrialKeeper
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.trials import read_trials
 from pv_inspect.results.write import read_result, write_result

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_pv_inspect.cell_renderer import CellPicture
-from napari_pv_inspect.history import History
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.tuning import Tuning, what_differs
+from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.history import History
+from napari_pv_inspect.models.trials import Tuning, what_differs
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 

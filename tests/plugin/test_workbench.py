@@ -10,10 +10,10 @@ from napari.layers import Image, Points, Vectors
 from pytestqt.qtbot import QtBot
 from qtpy.QtCore import Qt
 
-from napari_pv_inspect.docks.cells import BY_CRACKS
+from napari_pv_inspect.docks.gallery import BY_CRACKS
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.model import RunState
-from napari_pv_inspect.sources import sequence_layer
+from napari_pv_inspect.layers.layer_data import sequence_layer
+from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
 from pv_inspect.sequence.sequence import Sequence

@@ -16,15 +16,15 @@ from qtpy.QtWidgets import QDockWidget, QLabel, QVBoxLayout, QWidget
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.docks.cell_bar import CellBar
 from napari_pv_inspect.docks.gallery_list import cell_text
-from napari_pv_inspect.docks.hand import Dress
-from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.panel_grid import PanelGrid
-from napari_pv_inspect.docks.panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.docks.review_keys import bind_review_keys
-from napari_pv_inspect.frame_panels import FramePanels, contours, frame_panels
-from napari_pv_inspect.review_model import ReviewModel
-from napari_pv_inspect.review_subject import Mask, Subject
-from napari_pv_inspect.shortcuts import Key
+from napari_pv_inspect.live.single_frame import FramePanels, contours, frame_panels
+from napari_pv_inspect.review.model import ReviewModel
+from napari_pv_inspect.review.subject import Mask, Subject
+from napari_pv_inspect.widgets.image_panels import Outlines, PaintPanel, Panel, SharedView
+from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.panel_grid import PanelGrid
+from napari_pv_inspect.widgets.shortcuts import Key
+from napari_pv_inspect.widgets.style import Dress
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import Inspection

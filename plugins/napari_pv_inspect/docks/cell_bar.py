@@ -6,7 +6,7 @@ from qtpy.QtCore import QSignalBlocker, Qt, Signal
 from qtpy.QtWidgets import QCheckBox, QLabel, QPushButton, QSlider, QSpinBox, QVBoxLayout, QWidget
 from superqt import QRangeSlider
 
-from napari_pv_inspect.docks.folding_bar import FoldingBar
+from napari_pv_inspect.widgets.folding_bar import FoldingBar
 
 __all__ = ["CellBar"]
 

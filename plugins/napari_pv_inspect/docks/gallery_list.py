@@ -7,8 +7,8 @@ from qtpy.QtCore import QAbstractListModel, QModelIndex, QRect, QSize, Qt
 from qtpy.QtGui import QColor, QImage, QPainter, QPen, QPixmap
 from qtpy.QtWidgets import QStyle, QStyledItemDelegate, QStyleOptionViewItem
 
-from napari_pv_inspect.review_model import ReviewModel
-from napari_pv_inspect.thumbnails import Thumbnails
+from napari_pv_inspect.review.model import ReviewModel
+from napari_pv_inspect.review.thumbnails import Thumbnails
 from pv_inspect.cracks import CellState
 from pv_inspect.cracks.wording import tooltip
 from pv_inspect.review import Cell, Verdict, VerdictKind

@@ -21,24 +21,24 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_pv_inspect.docks.cells import CellsDock
-from napari_pv_inspect.docks.elided import ElidedLabel
-from napari_pv_inspect.docks.export_box import ExportBox
-from napari_pv_inspect.docks.frames_box import FramesBox
-from napari_pv_inspect.docks.hand import CalmWheel, Dress, finish_typing
-from napari_pv_inspect.docks.image_box import ImageBox
-from napari_pv_inspect.docks.lens_box import LensBox
-from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.live_place import show_live_cell
-from napari_pv_inspect.docks.module_box import ModuleBox
-from napari_pv_inspect.docks.points_box import PointsBox
-from napari_pv_inspect.docks.reference_box import ReferenceBox
-from napari_pv_inspect.docks.result_box import ResultBox
-from napari_pv_inspect.docks.review_box import ReviewBox
-from napari_pv_inspect.docks.run_box import RunBox
-from napari_pv_inspect.docks.steps import StepsBox
+from napari_pv_inspect.docks.gallery import CellsDock
+from napari_pv_inspect.docks.pages.export import ExportBox
+from napari_pv_inspect.docks.pages.frames import FramesBox
+from napari_pv_inspect.docks.pages.image import ImageBox
+from napari_pv_inspect.docks.pages.lens import LensBox
+from napari_pv_inspect.docks.pages.module import ModuleBox
+from napari_pv_inspect.docks.pages.points import PointsBox
+from napari_pv_inspect.docks.pages.reference_frames import ReferenceBox
+from napari_pv_inspect.docks.pages.result import ResultBox
+from napari_pv_inspect.docks.pages.review import ReviewBox
+from napari_pv_inspect.docks.pages.run import RunBox
+from napari_pv_inspect.docks.pages.workflow import StepsBox
+from napari_pv_inspect.docks.placing import show_live_cell
+from napari_pv_inspect.models.workflow import REVIEW, Deed
 from napari_pv_inspect.sample import sample_folder
-from napari_pv_inspect.steps import REVIEW, Deed
+from napari_pv_inspect.widgets.elided import ElidedLabel
+from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.style import CalmWheel, Dress, finish_typing
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.write import Result

@@ -9,9 +9,9 @@ from qtpy.QtCore import Qt, QTimer, Signal
 from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.cell import GALLERY, CellDock, dock_of, focus_gallery
-from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.model import RunState
-from napari_pv_inspect.review_subject import Subject
+from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.review.subject import Subject
+from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.workbench import Workbench
 
 __all__ = ["LargeCell", "large_cell", "open_cell"]

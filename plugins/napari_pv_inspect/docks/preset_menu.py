@@ -15,9 +15,9 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
-from napari_pv_inspect.tuning import Tuning
+from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
+from napari_pv_inspect.models.trials import Tuning
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 

@@ -6,7 +6,7 @@ from functools import partial
 
 from qtpy.QtWidgets import QWidget
 
-from napari_pv_inspect.shortcuts import Key
+from napari_pv_inspect.widgets.shortcuts import Key
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.review import VerdictKind
 

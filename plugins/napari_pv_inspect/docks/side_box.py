@@ -8,8 +8,8 @@ from qtpy.QtCore import QSignalBlocker, QSize, Qt
 from qtpy.QtGui import QIcon
 from qtpy.QtWidgets import QComboBox, QWidget
 
-from napari_pv_inspect.live_cell import Source
-from napari_pv_inspect.tuning import Trial
+from napari_pv_inspect.live.cell import Source
+from napari_pv_inspect.models.trials import Trial
 
 __all__ = ["SideBox"]
 

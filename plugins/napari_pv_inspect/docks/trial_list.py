@@ -15,9 +15,9 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.appearance import contrast_limits
-from napari_pv_inspect.docks.listen import listen
-from napari_pv_inspect.docks.swipe_view import grey_image
-from napari_pv_inspect.tuning import Trial, Tuning
+from napari_pv_inspect.models.trials import Trial, Tuning
+from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.swipe_view import grey_image
 
 __all__ = ["TrialList", "TrialModel"]
 

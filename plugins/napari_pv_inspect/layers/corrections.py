@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.layers.slot import LayerSlot
-from napari_pv_inspect.review_model import ReviewModel
+from napari_pv_inspect.review.model import ReviewModel
 from pv_inspect.review import Cell
 
 __all__ = ["CorrectionLayers"]

@@ -10,9 +10,9 @@ from napari.layers import Image, Layer
 from psygnal import Signal
 
 from napari_pv_inspect.appearance import FRAMES
+from napari_pv_inspect.layers.layer_data import SEQUENCE_KEY, sequence_layer
 from napari_pv_inspect.layers.slot import LayerSlot
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.sources import SEQUENCE_KEY, sequence_layer
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.pipeline import Inspection
 from pv_inspect.reports.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.sequence.sequence import Sequence

@@ -8,9 +8,9 @@ from napari.layers import Vectors
 from numpy.typing import NDArray
 
 from napari_pv_inspect import appearance as look
+from napari_pv_inspect.layers.overlays import grid_of_frames
 from napari_pv_inspect.layers.slot import LayerSlot
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.overlays import grid_of_frames
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.pipeline import Inspection
 from pv_inspect.sequence.sequence import Sequence
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from psygnal import Signal
 
 from napari_pv_inspect import appearance as look
+from napari_pv_inspect.layers.layer_data import PART_KEY
+from napari_pv_inspect.layers.placement import Placement, module_placement
 from napari_pv_inspect.layers.slot import LayerSlot
-from napari_pv_inspect.model import WorkbenchModel
-from napari_pv_inspect.placement import Placement, module_placement
-from napari_pv_inspect.sources import PART_KEY
+from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.pipeline import Inspection
 from pv_inspect.results.write import Result

@@ -14,12 +14,12 @@ from napari.utils.colormaps.standardize_color import transform_color
 from psygnal import Signal
 
 from napari_pv_inspect import appearance as look
-from napari_pv_inspect.edits import Point
 from napari_pv_inspect.layers.frames import FramesLayer
+from napari_pv_inspect.layers.overlays import CrossingMarks, crossing_marks
 from napari_pv_inspect.layers.slot import LayerSlot
-from napari_pv_inspect.model import RunState, WorkbenchModel
-from napari_pv_inspect.overlays import CrossingMarks, crossing_marks
-from napari_pv_inspect.point_editor import PointEditor
+from napari_pv_inspect.models.point_editor import PointEditor
+from napari_pv_inspect.models.point_edits import Point
+from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 
 __all__ = ["PointsLayer"]
 

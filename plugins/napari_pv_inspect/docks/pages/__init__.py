@@ -1,0 +1,1 @@
+"""The pages of the dock *Inspect module*, one for each task."""

@@ -1,0 +1,156 @@
+"""Distortion of the lens: fitted, set by hand while the grid bends, or loaded from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from qtpy.QtCore import Qt
+from qtpy.QtWidgets import (
+    QFileDialog,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from napari_pv_inspect.live.grid import LiveKappa
+from napari_pv_inspect.live.kappa_curve import KAPPA_RANGE, Curve, KappaCurve
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.widgets.kappa_plot import CurveView
+from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.slider import SettingSlider, setting_tooltip
+from pv_inspect.calibration.camera_file import read_camera, write_camera
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection
+from pv_inspect.settings import Settings
+
+__all__ = ["LensBox"]
+
+CAMERA_FILES = "Camera (*.yaml *.yml *.json *.xml);;All files (*)"
+
+
+class LensBox(QGroupBox):
+    """Slider for kappa with the residual, *Fit*, which brings the fit back, and camera files."""
+
+    def __init__(
+        self,
+        model: WorkbenchModel,
+        live: LiveKappa,
+        curve: KappaCurve,
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__("Lens", parent)
+        self._model = model
+        self._live = live
+        self.kappa = SettingSlider("kappa", "Kappa", -KAPPA_RANGE, KAPPA_RANGE, decimals=4)
+        self.fit = QPushButton("Fit")
+        self.fit.setToolTip("Let the fit choose kappa, and show the fitted grid again.")
+        self.residual = QLabel("kappa is fitted with the grid.")
+        self.residual.setWordWrap(True)
+        # The curve below must not jump while a line more comes and goes.
+        self.residual.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
+        self.residual.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        self.curve = CurveView()
+        self.load = QPushButton("Load camera...")
+        self.load.setToolTip(setting_tooltip("calibration_file"))
+        self.save = QPushButton("Save camera...")
+        self.save.setToolTip("Write the fitted K [LR px] and kappa as OpenCV reads them.")
+        self.file = QLabel()
+        self.clear = QToolButton()
+        self.clear.setText("x")
+        self.clear.setToolTip("Forget the camera file: the camera is fitted again.")
+        self.kappa.put_in_head(self.fit)
+        files = QHBoxLayout()
+        files.addWidget(self.load)
+        files.addWidget(self.save)
+        loaded = QHBoxLayout()
+        loaded.addWidget(self.file, 1)
+        loaded.addWidget(self.clear)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.kappa)
+        layout.addWidget(self.residual)
+        layout.addWidget(self.curve)
+        layout.addLayout(files)
+        layout.addLayout(loaded)
+        self.kappa.changed.connect(self._on_slider)
+        self.fit.clicked.connect(self._on_fit)
+        self.load.clicked.connect(self._on_load)
+        self.save.clicked.connect(self._on_save)
+        self.clear.clicked.connect(self._on_clear)
+        listen(model.settings_changed, self._on_settings)
+        listen(model.inspection_changed, self._on_inspection)
+        listen(live.residual_changed, self._on_residual)
+        listen(curve.changed, self._on_curve)
+        self._on_curve(curve.curve)
+        self._on_inspection(model.inspection)
+
+    def load_camera(self, path: Path) -> None:
+        """Use the camera of a file from the next run on; what is wrong becomes a notice."""
+        try:
+            if self._model.sequence is not None:
+                read_camera(path, self._model.sequence.shape)
+            elif not path.is_file():
+                raise InspectionError(f"There is no file {path}: choose a camera file.")
+        except InspectionError as error:
+            self._model.notice(str(error), is_error=True)
+        else:
+            # A kappa set by hand would win over that of the file.
+            self._model.change_settings(calibration_file=path, kappa=None, focal_length_px=None)
+
+    def save_camera(self, path: Path) -> None:
+        """Write the camera of the geometry that is shown; what is wrong becomes a notice."""
+        inspection = self._model.inspection
+        geometry = inspection and (inspection.registration or inspection.calibration)
+        if not geometry:
+            return
+        try:
+            write_camera(path, geometry.camera, inspection.sequence.shape)
+        except InspectionError as error:
+            self._model.notice(str(error), is_error=True)
+        else:
+            self._model.notice(f"Camera saved to {path}.")
+
+    def _on_load(self) -> None:
+        name = QFileDialog.getOpenFileName(self, "Camera file", "", CAMERA_FILES)[0]
+        if name:
+            self.load_camera(Path(name))
+
+    def _on_save(self) -> None:
+        name = QFileDialog.getSaveFileName(self, "Camera file", "camera.yaml", CAMERA_FILES)[0]
+        if name:
+            self.save_camera(Path(name))
+
+    def _on_clear(self) -> None:
+        self._model.change_settings(calibration_file=None)
+
+    def _on_slider(self, value: float) -> None:
+        self._model.change_settings(kappa=value)
+
+    def _on_fit(self) -> None:
+        self._model.change_settings(kappa=None)
+
+    def _on_settings(self, settings: Settings) -> None:
+        fitted = self._live.fitted_kappa
+        self.kappa.show_value(settings.kappa if settings.kappa is not None else fitted or 0.0)
+        self.curve.mark(settings.kappa if settings.kappa is not None else fitted)
+        self.fit.setEnabled(settings.kappa is not None)
+        path = settings.calibration_file
+        self.file.setText("" if path is None else f"Camera of the next run: <b>{path.name}</b>")
+        self.file.setToolTip("" if path is None else str(path))
+        self.file.setVisible(path is not None)
+        self.clear.setVisible(path is not None)
+
+    def _on_inspection(self, inspection: Inspection | None) -> None:
+        if inspection is None:
+            self.residual.setText("kappa is fitted with the grid.")
+        self.save.setEnabled(inspection is not None and inspection.calibration is not None)
+        self._on_settings(self._model.settings)
+
+    def _on_residual(self, text: str) -> None:
+        self.residual.setText(text)
+
+    def _on_curve(self, curve: Curve | None) -> None:
+        self.curve.show_curve(curve)

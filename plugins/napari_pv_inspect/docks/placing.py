@@ -1,0 +1,82 @@
+"""Where the dock *Live cell* stands: between the canvas and the controls."""
+
+from __future__ import annotations
+
+from functools import partial
+from weakref import ref
+
+from qtpy.QtCore import Qt, QTimer
+from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
+
+from napari_pv_inspect.docks.live_cell import LiveDock
+from napari_pv_inspect.workbench import Workbench
+
+__all__ = ["show_live_cell"]
+
+# Of the window that the live cell takes, px and share of its width.
+MIN_WIDTH, SHARE = 300, 0.26
+
+
+def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
+    """Show the live cell left of the controls, or bring it back.
+
+    Parameters
+    ----------
+    bench : Workbench
+    controls : QWidget
+        The widget in whose dock the sliders are.
+    """
+    window = bench.viewer.window
+    for place in window._qt_window.findChildren(QDockWidget):
+        live = place.findChild(LiveDock)
+        if live is not None:
+            place.show()
+            place.raise_()
+            _fit_view(bench)
+            return live
+    live = LiveDock(bench.viewer)
+    place = window.add_dock_widget(live, name="Live cell", area="right")
+    beside = _dock_of(controls)
+    if beside is not None and not beside.isFloating():
+        window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+        place.visibilityChanged.connect(partial(_narrow, ref(beside), beside.width()))
+        # Qt resizes docks only once they have been laid out; no dock, no call.
+        QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
+    # With two docks beside each other the full height is of more use than a wide gallery.
+    window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
+    _fit_view(bench)
+    return live
+
+
+def _fit_view(bench: Workbench) -> None:
+    """Show all layers on the narrower canvas, unless a large cell stands in its place."""
+    if not bench.viewer.window._qt_window._qt_viewer.isHidden():
+        bench.fit_view()
+
+
+def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:
+    """Give the room of a live cell that is closed to the canvas, not to the controls."""
+    beside = controls()
+    place = None if shown or beside is None else beside.parentWidget()
+    if isinstance(place, QMainWindow) and beside is not None and beside.isVisible():
+        QTimer.singleShot(0, beside, partial(_resize, place, [beside], [width]))
+
+
+def _dock_of(widget: QWidget) -> QDockWidget | None:
+    parent = widget.parentWidget()
+    while parent is not None and not isinstance(parent, QDockWidget):
+        parent = parent.parentWidget()
+    return parent
+
+
+def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
+    wanted = max(MIN_WIDTH, round(SHARE * window.width()))
+    _resize(window, [place, beside], [wanted, beside.width()])
+
+
+def _resize(window: QMainWindow, docks: list[QDockWidget], widths: list[int]) -> None:
+    animated = window.isAnimated()
+    # The view is fitted to the canvas right after: it has to have its size by then.
+    window.setAnimated(False)
+    window.resizeDocks(docks, widths, Qt.Orientation.Horizontal)
+    window.setAnimated(animated)

@@ -1,0 +1,227 @@
+"""Opens paths beside the window: frames, result folders, and frames once more in another way."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from napari.qt.threading import FunctionWorker, create_worker
+from psygnal import Signal
+from qtpy.QtCore import QObject, QThreadPool
+
+from napari_pv_inspect import reader
+from napari_pv_inspect.layers.layer_data import open_sequence
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from pv_inspect.errors import InspectionError
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results.resume import reopen, resume
+from pv_inspect.results.write import Result, read_result
+from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.settings import Settings
+from pv_inspect.storage.folders import read_steadily
+
+__all__ = ["Opened", "Opener", "open_any", "open_result"]
+
+log = logging.getLogger(__name__)
+
+References = tuple[Path | None, Path | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """What a path turned out to hold.
+
+    Parameters
+    ----------
+    sequence : Sequence or None
+    inspection : Inspection or None
+        Of a result folder whose frames are still there.
+    result : Result or None
+        Of a result folder.
+    references : (dark frame, flat frame)
+        What the frames were read with.
+    trouble : str
+        A sentence for the user; "" if all went well.
+    again : bool
+        The same frames as before, read in another way.
+    """
+
+    sequence: Sequence | None = None
+    inspection: Inspection | None = None
+    result: Result | None = None
+    references: References = (None, None)
+    trouble: str = ""
+    again: bool = False
+
+
+def open_any(path: Any, settings: Settings) -> Opened:
+    """Open a result folder or a sequence."""
+    if isinstance(path, (str, Path)) and reader.get_reader(path) is reader.read_result:
+        # Also what is read after the result itself belongs to it.
+        return read_steadily(Path(path), lambda: open_result(read_result(Path(path))))
+    references = (settings.dark_frame, settings.flat_frame)
+    return Opened(open_sequence(path, *references, settings.read_limits), references=references)
+
+
+def open_result(result: Result) -> Opened:
+    """Take a result up again, with its frames if they are still there."""
+    references = (result.settings.dark_frame, result.settings.flat_frame)
+    try:
+        sequence = reopen(result)
+        inspection = resume(result, sequence)
+    except InspectionError as error:
+        return Opened(result=result, trouble=str(error))
+    return Opened(sequence, inspection, result, references)
+
+
+def open_again(sequence: Sequence, settings: Settings) -> Opened:
+    """Read the same frames with other reference images."""
+    references = (settings.dark_frame, settings.flat_frame)
+    given = sequence.opened_from or sequence.source
+    return Opened(
+        open_sequence(given, *references, settings.read_limits), references=references, again=True
+    )
+
+
+class Opener(QObject):
+    """Opens one thing at a time; the newest wish wins, and what comes too late is dropped.
+
+    Attributes
+    ----------
+    may_leave : callable
+        Asked before anything that would clear the bench; False: all stays as it is.
+    """
+
+    result_opened = Signal(object)
+
+    def __init__(self, model: WorkbenchModel) -> None:
+        super().__init__()
+        self._model = model
+        self._worker: FunctionWorker | None = None
+        self._ticket = 0
+        self._read_with: References = (None, None)
+        self._putting: References | None = None
+        self._again = False
+        self._name = ""
+        self.may_leave: Callable[[], bool] = _always
+        model.settings_changed.connect(self._on_settings)
+        model.sequence_changed.connect(self._on_sequence)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being opened."""
+        return self._worker is not None
+
+    def open(self, path: Any) -> None:
+        """Put the frames or the result at a path, or a list of frames, on the bench."""
+        if not self.may_leave():
+            return
+        name = Path(path).name if isinstance(path, (str, Path)) else f"{len(path)} frames"
+        self._model.notice(f"Opening {name} ...")
+        self._name = name
+        self._start(open_any, path, self._model.settings)
+
+    def restore(self, result: Result) -> None:
+        """Put a result that was read already on the bench, with its frames if possible."""
+        if self.may_leave():
+            self._name = result.folder.name
+            self._start(open_result, result)
+
+    def close(self, wait_ms: int = 3000) -> None:
+        """Open nothing more; wait briefly for the thread."""
+        self._model.settings_changed.disconnect(self._on_settings)
+        self._model.sequence_changed.disconnect(self._on_sequence)
+        self.may_leave = _always
+        if self._worker is not None:
+            self._drop()
+            QThreadPool.globalInstance().waitForDone(wait_ms)
+
+    def _start(self, work: Callable[..., Opened], *given: Any) -> None:
+        self._drop()
+        self._ticket += 1
+        self._again = work is open_again
+        worker = create_worker(_guarded, self._ticket, work, *given, _start_thread=False)
+        worker.returned.connect(self._on_return)
+        self._worker = worker
+        worker.start()
+
+    def _drop(self) -> None:
+        if self._worker is not None:
+            self._worker.returned.disconnect(self._on_return)
+            self._worker = None
+
+    def _on_return(self, answer: tuple[int, Opened]) -> None:
+        ticket, opened = answer
+        if ticket != self._ticket or self._worker is None:
+            return
+        self._worker = None
+        name, self._name = self._name, ""
+        model = self._model
+        if opened.sequence is None and opened.result is None:
+            if self._again:
+                self._set_references_back()
+            model.notice(opened.trouble, is_error=True)
+            return
+        if name:
+            model.notice(f"Opened {name}.")
+        self._putting = opened.references
+        try:
+            self._put(opened)
+        finally:
+            self._putting = None
+        if opened.result is not None:
+            self.result_opened.emit(opened.result)
+        if opened.trouble:
+            model.notice(opened.trouble, is_error=True)
+
+    def _put(self, opened: Opened) -> None:
+        model = self._model
+        if opened.again and opened.sequence is not None:
+            model.reopen(opened.sequence)
+        elif opened.inspection is not None and opened.result is not None:
+            model.restore(opened.inspection, opened.result)
+        elif opened.result is not None:
+            model.open_result(opened.result, opened.trouble)
+        elif opened.sequence is not None:
+            model.open(opened.sequence)
+
+    def _on_sequence(self, _: Sequence | None) -> None:
+        if self._putting is None:
+            # Somebody else was faster.
+            if self._name:
+                self._model.notice("")
+                self._name = ""
+            self._drop()
+        self._read_with = self._putting or (None, None)
+
+    def _on_settings(self, settings: Settings) -> None:
+        wanted = (settings.dark_frame, settings.flat_frame)
+        if self._model.sequence is not None and wanted != self._read_with and not self.busy:
+            if self.may_leave():
+                self._start(open_again, self._model.sequence, settings)
+            else:
+                self._set_references_back()
+
+    def _set_references_back(self) -> None:
+        # The controls say how the frames on the bench were read.
+        dark, flat = self._read_with
+        self._model.change_settings(dark_frame=dark, flat_frame=flat)
+
+
+def _always() -> bool:
+    return True
+
+
+def _guarded(ticket: int, work: Callable[..., Opened], *given: Any) -> tuple[int, Opened]:
+    try:
+        return ticket, work(*given)
+    except InspectionError as error:
+        return ticket, Opened(trouble=str(error))
+    except Exception as error:
+        log.exception("opening failed")
+        return ticket, Opened(
+            trouble=f"It can't be opened ({type(error).__name__}: {error}): report this, please."
+        )

@@ -1,0 +1,1 @@
+"""What follows the hand: the grid, one cell, the curve over kappa."""

@@ -1,0 +1,62 @@
+"""Guesses rows and columns beside the window when a sequence comes without them."""
+
+from __future__ import annotations
+
+from napari.qt.threading import create_worker
+
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
+from pv_inspect.errors import InspectionError
+from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.settings import Settings
+
+__all__ = ["LayoutGuesser"]
+
+
+class LayoutGuesser:
+    """Offers the model a layout for each sequence whose rows and columns are unknown."""
+
+    def __init__(self, model: WorkbenchModel) -> None:
+        self._model = model
+        self._asked: tuple[Sequence, tuple[float, float] | None] | None = None
+        model.sequence_changed.connect(self._on_sequence)
+        model.settings_changed.connect(self._on_settings)
+
+    def close(self) -> None:
+        """Start no more guesses; one that is under way is not listened to."""
+        self._model.sequence_changed.disconnect(self._on_sequence)
+        self._model.settings_changed.disconnect(self._on_settings)
+        self._asked = None
+
+    def _on_sequence(self, sequence: Sequence | None) -> None:
+        self._model.guessing = False
+        self._asked = None
+        if sequence is not None and not is_known(sequence, self._model.settings):
+            self._guess(sequence, self._model.settings)
+
+    def _on_settings(self, settings: Settings) -> None:
+        # Another module of the same frames may have other rows and columns.
+        if self._asked is None or settings.module_at == self._asked[1]:
+            return
+        if self._model.layout_is_guessed or settings.rows is None:
+            unknown = settings.changed(rows=None, cols=None, cell_aspect=None)
+            self._guess(self._asked[0], unknown)
+
+    def _guess(self, sequence: Sequence, settings: Settings) -> None:
+        asked = self._asked = (sequence, settings.module_at)
+        self._model.guessing = True
+
+        def answer(guess: LayoutGuess | None) -> None:
+            if self._asked is asked:
+                self._model.offer_layout(sequence, guess)
+
+        worker = create_worker(_guess_or_none, sequence, settings)
+        worker.returned.connect(answer)
+        worker.start()
+
+
+def _guess_or_none(sequence: Sequence, settings: Settings) -> LayoutGuess | None:
+    try:
+        return guess_layout(sequence, settings, settings.module_at)
+    except InspectionError:
+        return None

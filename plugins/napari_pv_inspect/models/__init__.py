@@ -1,0 +1,1 @@
+"""State of the workbench without Qt: what is known, set, edited and undone."""

@@ -1,0 +1,108 @@
+"""What the footer says about the result that is shown: doubts first, then the cells. No Qt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from napari_pv_inspect.models.workbench import WorkbenchModel
+from pv_inspect.pipeline import Inspection
+from pv_inspect.results.write import Result
+from pv_inspect.settings import Stage
+
+__all__ = ["Facts", "capitalised", "facts_of"]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """A result in words.
+
+    Parameters
+    ----------
+    doubts : tuple of str
+        Why it must not be relied on.
+    cells : str
+        How many cells are suspected, clean, dark or can't be judged; "" if that is not known.
+    numbers : str
+        Frames, kappa, magnification.
+    warnings : tuple of str
+        The rest of what is worth knowing. Frames that are not used are in the list of frames.
+    details : str
+        What there is no room for, with units.
+    """
+
+    doubts: tuple[str, ...] = ()
+    cells: str = ""
+    numbers: str = "No result yet."
+    warnings: tuple[str, ...] = ()
+    details: str = "Frames that are used, and the distortion of the lens."
+
+
+def facts_of(model: WorkbenchModel) -> Facts:
+    """Return what is to be said about the inspection, or the result folder, on the bench."""
+    if model.put_away:
+        return Facts(numbers=model.put_away)
+    if model.inspection is not None:
+        return _of_inspection(model.inspection, _is_earlier(model))
+    if model.result is not None and model.sequence is None:
+        return _of_result(model.result)
+    return Facts()
+
+
+def _is_earlier(model: WorkbenchModel) -> bool:
+    """Whether the last run failed, and what is shown is not what it was to bring."""
+    return model.failure is not None and bool(model.to_do - {Stage.LOAD})
+
+
+def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
+    fit = inspection.registration or inspection.calibration
+    if fit is None:
+        return Facts()
+    kappa = "kappa" if inspection.registration is not None else "preliminary kappa"
+    numbers = f"{int(fit.used.sum())} of {len(fit.used)} frames, {kappa} {fit.camera.kappa:+.4f}"
+    made, cracks = inspection.reconstruction, inspection.cracks
+    details = Facts().details
+    if made is not None:
+        numbers += f", {made.grid.magnification:.2f}x"
+        numbers = f"Earlier result: {numbers}" if is_earlier else numbers
+        details = _details(
+            made.image.shape, made.grid.magnification, made.prior_weight, made.psf_sigma_lr_px
+        )
+    return Facts(
+        inspection.doubts,
+        "" if cracks is None else cracks.counts.text,
+        numbers,
+        _without_frames(inspection.warnings),
+        details,
+    )
+
+
+def _of_result(result: Result) -> Facts:
+    used = sum(frame.used for frame in result.frames)
+    grid = result.grid
+    return Facts(
+        result.doubts,
+        result.crack_map.counts.text,
+        f"{used} of {len(result.frames)} frames, kappa {result.camera.kappa:+.4f}, "
+        f"{grid.magnification:.2f}x",
+        _without_frames(result.warnings),
+        _details(grid.shape, grid.magnification, result.prior_weight, result.psf_sigma_lr_px),
+    )
+
+
+def _details(
+    shape: tuple[int, ...], magnification: float, prior_weight: float, psf_sigma: float
+) -> str:
+    height, width = shape
+    return (
+        f"Module image {width} x {height} px, {magnification:.2f} px per LR px, "
+        f"lambda {prior_weight:.3g}, PSF sigma {psf_sigma:.2f} LR px."
+    )
+
+
+def _without_frames(warnings: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(text for text in warnings if "is not used" not in text)
+
+
+def capitalised(text: str) -> str:
+    """Begin with a capital letter; the rest stays as it is."""
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,1 @@
+"""What a result folder remembers from one session to the next."""
