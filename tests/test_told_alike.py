@@ -20,7 +20,7 @@ from pv_inspect.results.write import Result, read_result, write_result
 from pv_inspect.review.report import render_review
 from pv_inspect.summary import summary
 from tests.handmade import made_inspection
-from tests.test_report import Reader
+from tests.reports.test_module_report import Reader
 
 BLIND = "6 of 6 cells can't be judged from these frames: none suspected, none clean"
 # What a person gave is a verdict; the detector's class has another name.

@@ -16,7 +16,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.sequence.sequence import Sequence
 from pv_inspect.settings import Settings
 
-DATA = Path(__file__).parents[2] / "shared" / "data" / "sequences"
+DATA = Path(__file__).parents[3] / "shared" / "data" / "sequences"
 SHAPE = (96, 128)
 
 Frames = list[NDArray[np.uint16]]

@@ -100,7 +100,7 @@ def stopped(tmp_path: Path) -> Callable[..., tuple[int, str]]:
             [sys.executable, "-c", code],
             stderr=subprocess.PIPE,
             text=True,
-            cwd=Path(__file__).parents[1],
+            cwd=Path(__file__).parents[2],
         )
         if number is not None:
             while not ready.exists() and process.poll() is None:
