@@ -32,10 +32,11 @@ test: $(INSTALLED) ## everything that CI runs
 fuzz: $(INSTALLED) ## every reader with 24,000 damaged and odd inputs, on two cores in some minutes
 	$(PYTHON) -m benchmarks.fuzz --cases 24000 --jobs 2
 
-lint: $(INSTALLED) ## ruff and mypy
+lint: $(INSTALLED) ## ruff, mypy, and the floors that no import may climb
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy --strict pv_inspect
+	.venv/bin/lint-imports --no-logo
 
 format: $(INSTALLED) ## put every file into the house's form
 	$(PYTHON) -m ruff check --fix .

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.pipeline import Inspection, inspect
-from pv_inspect.progress import follow
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.pipeline import inspect_steps
+from pv_inspect.progress.follow import follow
 from pv_inspect.reconstruction.reconstruct import bicubic
 from pv_inspect.results.write import check_writable, write_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 ROOT = Path(__file__).resolve().parents[1]
 Image = NDArray[np.float64]
@@ -115,10 +116,10 @@ def main() -> int:
     begun = perf_counter()
     try:
         check_writable(options.out)
-        sequence = Sequence.open(options.sequence)
+        sequence = FrameSequence.open(options.sequence)
         height, width = sequence.shape
         print(f"{len(sequence)} frames of {width} x {height} pixels in {options.sequence}")
-        inspection = follow(inspect(sequence))
+        inspection = follow(inspect_steps(sequence))
         write_result(inspection, options.out)
     except InspectionError as error:
         print(f"demo: {error}", file=sys.stderr)

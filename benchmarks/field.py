@@ -21,8 +21,8 @@ from pv_inspect.detection.detect import detect
 from pv_inspect.detection.layout_guess import guess_layout
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.progress import follow_fraction
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.progress.follow import follow
+from pv_inspect.sequence.sequence import FrameSequence
 
 MUST_PX = 2.0
 
@@ -42,11 +42,11 @@ def main() -> None:
 def _report(folder: Path, photo: dict[str, Any], guess: bool) -> bool:
     begun = process_time()
     try:
-        sequence = Sequence.open([folder / photo["file"]])
+        sequence = FrameSequence.open([folder / photo["file"]])
         layout = ModuleLayout(photo["rows"], photo["cols"])
         if guess:
             layout = guess_layout(sequence).layout
-        frame = follow_fraction(detect(sequence, layout), "detecting", quiet=True).frames[0]
+        frame = follow(detect(sequence, layout), "detecting", quiet=True).frames[0]
     except InspectionError as error:
         print(f"{photo['file']}  not found: {error}")
         return False

@@ -49,7 +49,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.registration.homography import register_by_homography
 from pv_inspect.registration.register import Registration, module_mean, register
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
 from pv_inspect.simulate.exposure import camera_matrix, choose_poses
@@ -129,7 +129,7 @@ def measured(source: Path, truth: Truth, settings: Settings, name: str) -> Score
         wall.append(perf_counter())
         cpu.append(process_time())
 
-    sequence = Sequence.open(source)
+    sequence = FrameSequence.open(source)
     layout = sequence.layout(settings)
     tick()
     crossings = result_of(detect(sequence, layout))
@@ -208,7 +208,7 @@ def errors_on_the_module(
     return (float(np.median(between)), float(np.max(between))), float(bend)
 
 
-def bound(sequence: Sequence, poses: Registration, truth: Truth, frames: list[int]) -> float:
+def bound(sequence: FrameSequence, poses: Registration, truth: Truth, frames: list[int]) -> float:
     """Cramer-Rao bound of the error between frames, median over the frames."""
     if len(frames) < 4:
         return np.nan
@@ -223,7 +223,7 @@ def bound(sequence: Sequence, poses: Registration, truth: Truth, frames: list[in
 
 
 def _bound_of_frame(
-    sequence: Sequence,
+    sequence: FrameSequence,
     poses: Registration,
     truth: Truth,
     grid: HrGrid,

@@ -26,7 +26,7 @@ import tifffile
 
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.memory import expected_grid, needed_bytes
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 
 LAYOUT = ModuleLayout(6, 10)
@@ -69,7 +69,7 @@ class Case:
 
     def estimates(self, sequence: Path, result: Path) -> tuple[float, float]:
         """GiB that were expected before the module was found, and with its size known."""
-        opened = Sequence.open(sequence)
+        opened = FrameSequence.open(sequence)
         seen = expected_grid(opened.frame(0).image, LAYOUT, self.magnification)
         first = needed_bytes(opened.shape, self.frames, seen)
         image = result / "module_hr.tif"

@@ -32,7 +32,7 @@ from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.register import register
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (
     SimulationSettings,
@@ -226,7 +226,7 @@ def _outcome(folder: Path, made: SimulationSettings, no_register: bool) -> Outco
     begun, spent = process_time(), 0.0
     nothing = np.zeros(0, bool)
     try:
-        sequence = Sequence.open(folder)
+        sequence = FrameSequence.open(folder)
         settings = Settings()
         crossings = result_of(detect(sequence, made.layout))
         calibration = calibrate(crossings, sequence.shape, settings)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from reconstruction_truth import solve, true_registration
 
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 
@@ -34,7 +34,7 @@ def main() -> None:
         cpu = time.process_time()
         # Two steps: the PSF is known before the first.
         result, _ = solve(
-            Sequence.open(folder), true_registration(truth), Settings(max_iterations=2)
+            FrameSequence.open(folder), true_registration(truth), Settings(max_iterations=2)
         )
         cpu = time.process_time() - cpu
         found = np.array(result.motion)

@@ -42,7 +42,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.reconstruction.preview import Preview, Region
 from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration.register import Registration, register
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 
@@ -62,9 +62,9 @@ class Cost:
     converged: bool
 
 
-def registered(folder: Path) -> tuple[Sequence, Registration]:
+def registered(folder: Path) -> tuple[FrameSequence, Registration]:
     """Open a sequence and register it with the default settings."""
-    sequence, settings = Sequence.open(folder), Settings()
+    sequence, settings = FrameSequence.open(folder), Settings()
     crossings = result_of(detect(sequence, sequence.layout(settings)))
     calibration = calibrate(crossings, sequence.shape, settings)
     return sequence, result_of(register(sequence, calibration, settings))
@@ -72,7 +72,7 @@ def registered(folder: Path) -> tuple[Sequence, Registration]:
 
 def cost_of(folder: Path, registration: Registration, settings: Settings) -> Cost:
     """Reconstruct in this process and say what it took."""
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     wall, cpu = perf_counter(), process_time()
     made = result_of(reconstruct(sequence, registration, settings))
     wall, cpu = perf_counter() - wall, process_time() - cpu
@@ -265,7 +265,7 @@ def scorer(path: Path) -> Callable[[Path, Registration, Reconstruction], float]:
     spec.loader.exec_module(module)
 
     def score(folder: Path, registration: Registration, made: Reconstruction) -> float:
-        files = Sequence.open(folder).names
+        files = FrameSequence.open(folder).names
         listed = [
             {"file": name, "used": True, "crossings_px": registration.crossings_px(i).tolist()}
             for i, name in enumerate(files)

@@ -28,7 +28,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 
@@ -71,7 +71,7 @@ def score(scorer: ModuleType, folder: Path, image: np.ndarray, grid: HrGrid) -> 
 
 
 def solve(
-    sequence: Sequence, registration: Registration, settings: Settings
+    sequence: FrameSequence, registration: Registration, settings: Settings
 ) -> tuple[Reconstruction, int]:
     """Drain reconstruct() and count its solver steps."""
     images: list[bool] = []
@@ -103,7 +103,7 @@ def main() -> None:
         if args.only and folder.name not in args.only:
             continue
         truth = json.loads((folder / "truth" / "truth.json").read_text())
-        sequence, registration = Sequence.open(folder), true_registration(truth)
+        sequence, registration = FrameSequence.open(folder), true_registration(truth)
         sigma = truth["psf"]["sigma"] if args.sigma == "true" else None
         settings = Settings(magnification=args.magnification, psf_sigma_lr_px=sigma)
         if not compiled:

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.folder import reserve_result
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import read_result, write_result

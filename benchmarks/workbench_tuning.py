@@ -27,12 +27,14 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.docks.live_cell import LiveDock
 from napari_pv_inspect.docks.placing import show_live_cell
-from napari_pv_inspect.live.cell_renderer import CellPicture, CellRenderer
+from napari_pv_inspect.live.cell_renderer import CellRenderer
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import sample_folder
 from napari_pv_inspect.tasks.memory import few_arenas, left_alone
-from pv_inspect.pipeline import Inspection, inspect, run_to_end
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.pipeline import inspect
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
 SIZE = (1280, 800)
@@ -289,14 +291,14 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sequence", type=Path, help="folder of frames; the sample if not given")
     options = parser.parse_args(arguments)
-    sequence = Sequence.open(options.sequence or sample_folder())
+    sequence = FrameSequence.open(options.sequence or sample_folder())
     hint = {k: sequence.layout_hint.get(k) for k in ("rows", "cols", "cell_aspect")}
     few_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
     with left_alone():
-        inspection = run_to_end(inspect(sequence, Settings(**hint)))
+        inspection = inspect(sequence, Settings(**hint))
         dock.bench.model.open(sequence)
         results, heart, watch = measure(dock, inspection)
         print(report(results, heart))

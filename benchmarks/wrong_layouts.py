@@ -24,13 +24,13 @@ import cv2
 import numba
 import numpy as np
 
-from pv_inspect.detection.orientation import quarter_turn_sentence
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import inspect
+from pv_inspect.inspection.doubts import quarter_turn_sentence
+from pv_inspect.pipeline import inspect_steps
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 from pv_inspect.simulate.exposure import camera_matrix, choose_poses
@@ -130,10 +130,10 @@ def wrong_layouts(true: ModuleLayout) -> dict[str, ModuleLayout]:
     }
 
 
-def answered(sequence: Sequence, layout: ModuleLayout) -> tuple[str, str]:
+def answered(sequence: FrameSequence, layout: ModuleLayout) -> tuple[str, str]:
     """Run up to the registered frames; return the answer and its words."""
     settings = Settings(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
-    steps = inspect(sequence, settings)
+    steps = inspect_steps(sequence, settings)
     try:
         for step in steps:
             registration = step.partial
@@ -166,7 +166,7 @@ def trial(
         given |= dict((wrong[first:] + wrong[:first])[:kinds])
         for kind, layout in given.items():
             begun, cpu = perf_counter(), process_time()
-            answer, words = answered(Sequence.open(folder), layout)
+            answer, words = answered(FrameSequence.open(folder), layout)
             answers.append(
                 Answer(
                     seed,

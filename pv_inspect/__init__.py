@@ -1,56 +1,85 @@
 """Super-resolved, rectified images of solar modules from sequences of coarse frames.
 
+    import pv_inspect as pv
+
+    frames = pv.open_sequence("folder")
+    inspection = pv.inspect(frames, pv.Settings(magnification=3))
+    pv.write_result(inspection, "out")
+
 The names below are loaded when they are first used: ``import pv_inspect`` itself is light.
 """
 
 from __future__ import annotations
 
-from pv_inspect.common import starting
-
-if starting.is_the_command():  # before the other imports: a Ctrl-C may come at once
-    starting.exit_at_once()
-
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from pv_inspect._version import __version__
+
 if TYPE_CHECKING:
+    from pv_inspect.calibration.calibrate import calibrate
+    from pv_inspect.cracks import look_at_first
     from pv_inspect.errors import InspectionError
-    from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
-    from pv_inspect.sequence.sequence import Sequence
+    from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+    from pv_inspect.inspection.inspection import Inspection, Step
+    from pv_inspect.notebook import plots
+    from pv_inspect.pipeline import inspect, inspect_steps
+    from pv_inspect.reconstruction.preview import Preview, Region
+    from pv_inspect.reconstruction.reconstruct import bicubic
+    from pv_inspect.results.write import Result, read_result, write_result
+    from pv_inspect.sequence.sequence import FrameSequence, open_sequence
     from pv_inspect.settings import Settings, Stage
 
-__version__ = "0.1.0"
-
-# Threads that spin while they wait take the processor from those that work. It must be said before
-# compiled code starts its threads; whoever has said otherwise is right.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
 __all__ = [
+    "FrameSequence",
+    "HrGrid",
     "Inspection",
     "InspectionError",
-    "Sequence",
+    "ModuleLayout",
+    "Preview",
+    "Region",
+    "Result",
     "Settings",
     "Stage",
     "Step",
     "__version__",
+    "bicubic",
+    "calibrate",
     "inspect",
-    "run_to_end",
+    "inspect_steps",
+    "look_at_first",
+    "open_sequence",
+    "plots",
+    "read_result",
+    "write_result",
 ]
 
 _HOME = {
-    "Inspection": "pipeline",
+    "FrameSequence": "sequence.sequence",
+    "HrGrid": "geometry.layout",
+    "Inspection": "inspection.inspection",
     "InspectionError": "errors",
-    "Sequence": "sequence.sequence",
+    "ModuleLayout": "geometry.layout",
+    "Preview": "reconstruction.preview",
+    "Region": "reconstruction.preview",
+    "Result": "results.write",
     "Settings": "settings",
     "Stage": "settings",
-    "Step": "pipeline",
+    "Step": "inspection.inspection",
+    "bicubic": "reconstruction.reconstruct",
+    "calibrate": "calibration.calibrate",
     "inspect": "pipeline",
-    "run_to_end": "pipeline",
+    "inspect_steps": "pipeline",
+    "look_at_first": "cracks",
+    "open_sequence": "sequence.sequence",
+    "read_result": "results.write",
+    "write_result": "results.write",
 }
 
 
 def __getattr__(name: str) -> Any:
+    if name == "plots":
+        return import_module(f"{__name__}.notebook.plots")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from pv_inspect.common import starting
+
+if starting.is_the_command():  # before the other imports: a Ctrl-C may come at once
+    starting.exit_at_once()
+
 from pv_inspect.common import signals
 
 __all__ = ["main"]
@@ -10,9 +15,9 @@ __all__ = ["main"]
 def main() -> None:
     """Entry point of the command ``pv-inspect``."""
     signals.exit_at_once()  # before the imports, which take a second
-    from pv_inspect.cli import app as cli
+    from pv_inspect.cli import app
 
-    cli.main()
+    app.main()
 
 
 if __name__ == "__main__":

@@ -39,6 +39,19 @@ class Stage(StrEnum):
         """Position in the order of the stages, 0 for the first."""
         return list(Stage).index(self)
 
+    # Stages compare by their order; that of their names means nothing.
+    def __lt__(self, other: str) -> bool:
+        return self.index < Stage(other).index
+
+    def __le__(self, other: str) -> bool:
+        return self.index <= Stage(other).index
+
+    def __gt__(self, other: str) -> bool:
+        return self.index > Stage(other).index
+
+    def __ge__(self, other: str) -> bool:
+        return self.index >= Stage(other).index
+
 
 def _tunable(default: Any, stage: Stage, unit: str, description: str, **limits: Any) -> Any:
     """Declare a setting; ``stage`` is the first stage that has to run again when it changes."""
@@ -309,7 +322,7 @@ class Settings(BaseModel):
 
     @property
     def read_limits(self) -> ReadLimits:
-        """What is read at most, for `Sequence.open`."""
+        """What is read at most, for `FrameSequence.open`."""
         return ReadLimits(self.max_frame_mpx, self.max_frames)
 
     @classmethod

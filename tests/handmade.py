@@ -15,7 +15,7 @@ from pv_inspect.cracks import CrackMap, measure_cell
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruct import Reconstruction
 from pv_inspect.registration.register import Registration
 from pv_inspect.settings import Settings
@@ -26,7 +26,7 @@ REASON = "no module of 2 x 3 cells <b>found</b>"
 
 @dataclass(frozen=True, eq=False)
 class FakeSequence:
-    """What of a Sequence the stages after the registration ask for."""
+    """What of a FrameSequence the stages after the registration ask for."""
 
     names: tuple[str, ...] = ("frame_0.tif", "frame_1 & <i>.tif", "frame_2.tif")
     shape: tuple[int, int] = (60, 80)

@@ -11,7 +11,7 @@ from pv_inspect import memory
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.memory import available_bytes, expected_grid, need_memory, needed_bytes
-from pv_inspect.sequence import cached_frames
+from pv_inspect.sequence.sequence import cached_frames
 
 LAYOUT = ModuleLayout(6, 10)
 SHAPE = (3000, 4096)

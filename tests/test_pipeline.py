@@ -10,11 +10,11 @@ import pytest
 
 from pv_inspect import pipeline
 from pv_inspect.cells import cut_cells
-from pv_inspect.common.work import result_of
+from pv_inspect.common.work import Progress, result_of
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end
-from pv_inspect.reconstruction.reconstruct import Progress
+from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.pipeline import inspect, inspect_steps
 from pv_inspect.settings import Settings, Stage
 from tests.handmade import (
     REASON,
@@ -48,21 +48,21 @@ class Stages:
     def fractions(self, name: str, result: Any) -> Generator[Any, None, Any]:
         self.ran.append(name)
         try:
-            yield 0.5
-            yield 1.0
+            yield Progress(0.5, name)
+            yield Progress(1.0, name)
         except GeneratorExit:
             self.closed.append(name)
             raise
         return result
 
-    def detect(self, *_: Any) -> Generator[float, None, Any]:
+    def detect(self, *_: Any) -> Generator[Progress, None, Any]:
         return self.fractions("detect", self.crossings)
 
     def calibrate(self, *_: Any) -> Any:
         self.ran.append("calibrate")
         return made_calibration(len(self.crossings.frames))
 
-    def register(self, _: Any, __: Any, settings: Settings) -> Generator[float, None, Any]:
+    def register(self, _: Any, __: Any, settings: Settings) -> Generator[Progress, None, Any]:
         self.registered_with = settings
         return self.fractions("register", self.registration)
 
@@ -84,7 +84,7 @@ class Stages:
         self.ran.append("cells")
         return cut_cells(reconstruction)
 
-    def read_cracks(self, *_: Any) -> Generator[float, None, Any]:
+    def read_cracks(self, *_: Any) -> Generator[Progress, None, Any]:
         return self.fractions("cracks", made_inspection().cracks)
 
 
@@ -97,7 +97,7 @@ ALL = ["detect", "calibrate", "register", "reconstruct", "cells", "cracks"]
 
 
 def test_a_run_passes_all_stages_and_is_complete(stages: Stages) -> None:
-    steps = list(inspect(SEQUENCE))
+    steps = list(inspect_steps(SEQUENCE))
     assert stages.ran == ALL
     parts = {s.stage: s.partial for s in steps if s.fraction and s.partial is not None}
     assert [type(p).__name__ for p in parts.values()] == [
@@ -108,25 +108,25 @@ def test_a_run_passes_all_stages_and_is_complete(stages: Stages) -> None:
         "CellTiles",
         "CrackMap",
     ]
-    assert run_to_end(inspect(SEQUENCE)).complete
+    assert inspect(SEQUENCE).complete
 
 
 def test_the_fraction_never_falls_and_ends_at_one(stages: Stages) -> None:
-    fractions = [step.fraction for step in inspect(SEQUENCE)]
+    fractions = [step.fraction for step in inspect_steps(SEQUENCE)]
     assert fractions[0] == 0.0
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
 
 
 def test_previews_of_the_reconstruction_come_through(stages: Stages) -> None:
-    previews = [s for s in inspect(SEQUENCE) if isinstance(s.partial, np.ndarray)]
+    previews = [s for s in inspect_steps(SEQUENCE) if isinstance(s.partial, np.ndarray)]
     assert [(s.stage, s.message) for s in previews] == [(Stage.RECONSTRUCT, "iteration 3 of 60")]
 
 
 def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
     stages: Stages,
 ) -> None:
-    seconds = result_of(inspect(SEQUENCE), lambda _: time.sleep(0.02)).seconds
+    seconds = result_of(inspect_steps(SEQUENCE), lambda _: time.sleep(0.02)).seconds
     assert set(seconds) == {stage.value for stage in Stage}
     # about a dozen steps of 0.02 s were held; the fakes themselves take next to nothing
     assert sum(seconds.values()) < 0.1
@@ -144,13 +144,13 @@ def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
 def test_only_what_a_changed_setting_makes_stale_runs_again(
     stages: Stages, change: dict[str, Any], again: list[str]
 ) -> None:
-    first = run_to_end(inspect(SEQUENCE))
+    first = inspect(SEQUENCE)
     stages.ran.clear()
     settings = Settings.create(**change)
     assert [s.value for s in Stage if s in first.stale(settings)] == again
-    steps = inspect(SEQUENCE, settings, first)
+    steps = inspect_steps(SEQUENCE, settings, first)
     fractions = [step.fraction for step in steps]
-    second = run_to_end(inspect(SEQUENCE, settings, first))
+    second = inspect(SEQUENCE, settings, first)
     assert stages.ran == again * 2
     assert second.settings == settings
     assert second.complete
@@ -159,23 +159,23 @@ def test_only_what_a_changed_setting_makes_stale_runs_again(
 
 
 def test_the_ablation_replaces_the_registration_and_nothing_else(stages: Stages) -> None:
-    first = run_to_end(inspect(SEQUENCE))
+    first = inspect(SEQUENCE)
     stages.ran.clear()
-    second = run_to_end(inspect(SEQUENCE, Settings(registration_model="homography"), first))
+    second = inspect(SEQUENCE, Settings(registration_model="homography"), first)
     assert stages.ran == ["by homography", *ALL[3:]]
     assert second.complete
 
 
 def test_another_sequence_starts_afresh(stages: Stages) -> None:
-    first = run_to_end(inspect(SEQUENCE))
+    first = inspect(SEQUENCE)
     stages.ran.clear()
-    run_to_end(inspect(FakeSequence(), start=first))  # type: ignore[arg-type]
+    inspect(FakeSequence(), start=first)  # type: ignore[arg-type]
     assert stages.ran == ALL
 
 
 def test_what_a_cancelled_run_has_made_can_be_built_upon(stages: Stages) -> None:
     kept = Inspection(SEQUENCE, Settings(), SEQUENCE.layout(Settings()))
-    steps = inspect(SEQUENCE)
+    steps = inspect_steps(SEQUENCE)
     for step in steps:
         if step.partial is not None:
             kept = kept.with_part(step.partial)  # type: ignore[arg-type]
@@ -183,24 +183,24 @@ def test_what_a_cancelled_run_has_made_can_be_built_upon(stages: Stages) -> None
             break
     steps.close()
     stages.ran.clear()
-    assert run_to_end(inspect(SEQUENCE, start=kept)).complete
+    assert inspect(SEQUENCE, start=kept).complete
     assert stages.ran == ["reconstruct", "cells", "cracks"]
 
 
 def test_a_moved_crossing_point_makes_everything_after_the_detection_run_again(
     stages: Stages,
 ) -> None:
-    moved = run_to_end(inspect(SEQUENCE)).with_part(made_crossings())
+    moved = inspect(SEQUENCE).with_part(made_crossings())
     assert moved.registration is None
     assert moved.cracks is None
     stages.ran.clear()
-    run_to_end(inspect(SEQUENCE, start=moved))
+    inspect(SEQUENCE, start=moved)
     assert stages.ran == ALL[1:]
 
 
 @pytest.mark.parametrize("stage", ["detect", "register", "reconstruct", "cracks"])
 def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) -> None:
-    steps = inspect(SEQUENCE)
+    steps = inspect_steps(SEQUENCE)
     for step in steps:
         if step.stage == stage and stage in stages.ran:
             break
@@ -209,19 +209,19 @@ def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) ->
 
 
 def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
-    result = run_to_end(inspect(SEQUENCE))
+    result = inspect(SEQUENCE)
     assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
 
 
 def test_frames_that_do_not_fit_together_put_the_result_in_doubt(stages: Stages) -> None:
     stages.reconstruction = replace(made_reconstruction(), residual_rms=(6.0, float("nan"), 8.0))
-    told = run_to_end(inspect(SEQUENCE)).doubts
+    told = inspect(SEQUENCE).doubts
     assert "contradict the module image by 7.0 times their noise" in told[0]
 
 
 def test_one_frame_works_and_is_called_no_super_resolution(stages: Stages) -> None:
     stages.crossings, stages.registration = made_crossings(1), made_registration(1)
-    result = run_to_end(inspect(FakeSequence(("one.tif",))))  # type: ignore[arg-type]
+    result = inspect(FakeSequence(("one.tif",)))  # type: ignore[arg-type]
     assert result.warnings == (
         "1 frame: the result is a rectified single frame, not a super-resolution.",
     )
@@ -231,7 +231,7 @@ def test_no_usable_frame_is_one_sentence(stages: Stages) -> None:
     frames = tuple(replace(f, why="too dark.") for f in made_crossings().frames)
     stages.crossings = replace(made_crossings(), frames=frames)
     with pytest.raises(InspectionError, match=r"any of the 3 frames \(frame_0.tif: too dark\)"):
-        run_to_end(inspect(SEQUENCE))
+        inspect(SEQUENCE)
     assert stages.ran == ["detect"]
 
 
@@ -251,13 +251,13 @@ def test_an_unknown_layout_is_guessed_once_and_the_result_says_so(
 
     monkeypatch.setattr(pipeline, "guess_layout", guess)
     sequence: Any = FakeSequence(layout_hint={})
-    inspection = run_to_end(inspect(sequence))
+    inspection = inspect(sequence)
     assert inspection.layout_guessed
     assert "2 x 3 cells of aspect 1 guessed, please confirm" in inspection.warnings[0]
-    again = run_to_end(inspect(sequence, Settings(crack_threshold=0.7), inspection))
+    again = inspect(sequence, Settings(crack_threshold=0.7), inspection)
     assert again.layout == inspection.layout
     assert again.layout_guessed
     assert len(asked) == 1
-    given = run_to_end(inspect(sequence, Settings(rows=2, cols=3), inspection))
+    given = inspect(sequence, Settings(rows=2, cols=3), inspection)
     assert not given.layout_guessed
     assert not any("guessed" in warning for warning in given.warnings)

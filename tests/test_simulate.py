@@ -333,7 +333,7 @@ def test_frames_move_by_fractions_of_pixels(tiny: SimulatedSequence) -> None:
 
 
 def test_progress_rises_to_one() -> None:
-    fractions = list(simulate(TINY))
+    fractions = [step.fraction for step in simulate(TINY)]
     assert fractions == sorted(fractions)
     assert fractions[0] > 0
     assert fractions[-1] == pytest.approx(1.0)

@@ -11,14 +11,14 @@ import pytest
 from typer.testing import CliRunner
 
 from pv_inspect.cli import app as cli
-from pv_inspect.doubts import doubts_of
+from pv_inspect.inspection.doubts import doubts_of
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.inspection.summary import summary
+from pv_inspect.notebook import plots
 from pv_inspect.notebook.display import inspection_html, result_html
-from pv_inspect.notebook.plots import plot_cells, plot_residuals
-from pv_inspect.pipeline import Inspection
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.results.write import Result, read_result, write_result
 from pv_inspect.review.report import render_review
-from pv_inspect.summary import summary
 from tests.handmade import made_inspection
 from tests.reports.test_module_report import Reader
 
@@ -63,7 +63,7 @@ def test_where_no_cell_could_be_judged_every_view_says_that_and_no_all_clear(
         "notebook of a result": text_of(result_html(result)),
         "review page": text_of(render_review(result, ())),
         "review command": review,
-        "plot": plot_cells(blind).get_title(),
+        "plot": plots.cells(blind).get_title(),
     }
     for name, page in pages.items():
         assert BLIND in page, name
@@ -118,9 +118,9 @@ def test_the_residual_is_one_number_in_every_view(tmp_path: Path) -> None:
         assert "1.10 x noise" in page
     for page in (render_report(inspection), render_review(result, ()), inspection_html(inspection)):
         assert "1.25" not in text_of(page)
-    assert plot_residuals(inspection).get_ylabel() == "residual [noise]"
+    assert plots.residuals(inspection).get_ylabel() == "residual [noise]"
     registered = replace(inspection, reconstruction=None, tiles=None, cracks=None)
-    assert plot_residuals(registered).get_ylabel() == "registration residual [noise]"
+    assert plots.residuals(registered).get_ylabel() == "registration residual [noise]"
 
 
 def test_kappa_before_the_registration_is_named_as_preliminary() -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from napari_pv_inspect.layers.layer_data import LayerData
 
 __all__ = ["get_reader"]
 
-LayerData = tuple[Any, dict[str, Any], str]
-Reader = Callable[[Any], list[LayerData]]
+Reader = Callable[[Any], "list[LayerData]"]
 
 NOTHING: list[LayerData] = [(None,)]  # type: ignore[list-item]
 IMAGES = {".tif", ".tiff", ".png"}

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from pv_inspect import __version__
+from pv_inspect._version import __version__
 from pv_inspect.cli import cracks as cli_cracks
 from pv_inspect.cli import gui as cli_gui
 from pv_inspect.cli import review as cli_review
@@ -196,12 +196,12 @@ def run(
     with _one_sentence(debug) as course:
         # Imported here: --help and --version answer at once.
         from pv_inspect.calibration.camera_file import read_camera
-        from pv_inspect.pipeline import inspect
-        from pv_inspect.progress import follow
+        from pv_inspect.inspection.summary import summary
+        from pv_inspect.pipeline import inspect_steps
+        from pv_inspect.progress.follow import follow
         from pv_inspect.results.folder import reserve_result
         from pv_inspect.results.write import write_result
-        from pv_inspect.sequence.sequence import Sequence
-        from pv_inspect.summary import summary
+        from pv_inspect.sequence.sequence import FrameSequence
 
         given = {
             "rows": rows,
@@ -238,12 +238,12 @@ def run(
         _use_threads(threads)
         begun = perf_counter()
         references = settings.dark_frame, settings.flat_frame
-        opened = Sequence.open(sequence, *references, settings.read_limits)
+        opened = FrameSequence.open(sequence, *references, settings.read_limits)
         wanted = [] if settings.module_of is None else [settings.module_of]
         opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)
-        inspection = follow(inspect(opened, settings), quiet=quiet)
+        inspection = follow(inspect_steps(opened, settings), quiet=quiet)
         write_result(inspection, out, place)
         if quiet:
             for doubt in inspection.doubts:
@@ -347,7 +347,7 @@ def simulate(
     Writes frames/, module.json and truth/ (truth.json, hr.png, cracks.png).
     """
     with _one_sentence(debug) as course:
-        from pv_inspect.progress import follow_fraction
+        from pv_inspect.progress.follow import follow
         from pv_inspect.simulate import SimulationSettings, reserve_sequence, write_sequence
         from pv_inspect.simulate import simulate as simulate_sequence
 
@@ -368,7 +368,7 @@ def simulate(
         values.update(_assignment(text) for text in more or [])
         settings = SimulationSettings(**values)
         course.hold(reserve_sequence(out))
-        sequence = follow_fraction(simulate_sequence(settings), "simulating", quiet=quiet)
+        sequence = follow(simulate_sequence(settings), "simulating", quiet=quiet)
         write_sequence(sequence, out)
         if not quiet:
             where = printable(str(out))

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
+
+# Threads that spin while they wait take the processor from those that work. It must be said before
+# compiled code starts its threads; whoever has said otherwise is right.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numba
 from numba.core.caching import FunctionCache

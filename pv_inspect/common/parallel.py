@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numba.np.ufunc.parallel import threading_layer
 
-from pv_inspect.observation.stencil import dot
+from pv_inspect.common.compiling import compiled
 
 __all__ = ["in_turn", "mapped"]
 
@@ -59,6 +59,12 @@ def _may_be_shared() -> bool:
     except ValueError:
         # It is known only once parallel code has run.
         with _turn:
-            dot(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+            _fill(np.zeros(1))
         layer = threading_layer()  # type: ignore[no-untyped-call]
     return bool(layer != "workqueue")
+
+
+@compiled(parallel=True)
+def _fill(values):  # type: ignore[no-untyped-def]
+    for k in numba.prange(len(values)):
+        values[k] = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-from pv_inspect import __version__
+from pv_inspect._version import __version__
 
 __all__ = ["versions"]
 

@@ -1,15 +1,42 @@
-"""To drive long work: a generator that yields how far it is and returns what it made."""
+"""Long work: a generator that yields how far it is and returns what it made.
+
+Every stage of the method yields `Progress`. A part of a stage yields the bare share of its own
+work, which `relayed` turns into the progress of the whole. Closing a generator cancels the work.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
-__all__ = ["relayed", "result_of"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Progress", "relayed", "result_of"]
 
 A = TypeVar("A")
 B = TypeVar("B")
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """How far a stage is.
+
+    Parameters
+    ----------
+    fraction : float
+        Share of the work that is done, 0..1.
+    message : str
+        What is being done.
+    image : (height, width) float32, optional
+        Current estimate, for previews; it goes on changing.
+    """
+
+    fraction: float
+    message: str
+    image: NDArray[np.float32] | None = None
 
 
 def relayed(work: Generator[A, None, T], tell: Callable[[A], B]) -> Generator[B, None, T]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
+from pv_inspect.common.work import Progress
 from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
 from pv_inspect.cracks.features import (
     CellFeatures,
@@ -131,7 +132,7 @@ def operating_point_of(detector: CrackDetector, settings: Settings) -> Operating
 
 def read_cracks(
     tiles: CellTiles, settings: Settings, detector: CrackDetector | None = None
-) -> Generator[float, None, CrackMap]:
+) -> Generator[Progress, None, CrackMap]:
     """Look for cracks in every cell.
 
     Parameters
@@ -144,8 +145,7 @@ def read_cracks(
 
     Yields
     ------
-    float
-        Fraction done.
+    Progress
 
     Returns
     -------
@@ -171,7 +171,7 @@ def read_cracks(
         else:
             probability = detector.probability(tile)
         maps[row, col] = np.clip(probability, 0.0, 1.0)
-        yield n / (rows * cols)
+        yield Progress(n / (rows * cols), "looking for cracks")
     # All cells of a module have the same busbars: together they show them better than one by one.
     if isinstance(detector, BusbarFinder):
         busbars = busbars_from_map(bars)

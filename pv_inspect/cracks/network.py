@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from pv_inspect.common.records import Number, Record, Text, checked, json_from, read_text
+from pv_inspect.cracks.classes import BUSBAR, CLASSES, CRACK
 from pv_inspect.cracks.features import OperatingPoint
 from pv_inspect.cracks.foreign_network import NetworkApart
-from pv_inspect.cracks.training.labelled import BUSBAR, CLASSES, CRACK
 from pv_inspect.errors import InspectionError
 
 __all__ = ["CELL_PX", "MODELS", "CrackModel", "NetworkDetector", "normalised"]

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.common.parallel import mapped
+from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
@@ -36,10 +37,11 @@ from pv_inspect.detection.single_frame import (
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.copies import copies_told
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["detect"]
 
+_MESSAGE = "looking for the cell crossings"
 NEAR_CELLS = 0.5
 """A point may be so many cells beside the module that it chooses."""
 PROBED_TOGETHER = 3
@@ -59,8 +61,8 @@ class _OtherLayoutError(OutlineError):
 
 
 def detect(
-    sequence: Sequence, layout: ModuleLayout, inside: tuple[float, float] | None = None
-) -> Generator[float, None, Crossings]:
+    sequence: FrameSequence, layout: ModuleLayout, inside: tuple[float, float] | None = None
+) -> Generator[Progress, None, Crossings]:
     """Find the crossing points in every frame.
 
     A frame in which the module is cut by the image border, or whose outline fails, is found again
@@ -70,7 +72,7 @@ def detect(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     layout : ModuleLayout
     inside : tuple of float, optional
         (x, y) of a point in the wanted module, pixels of the first frame, for frames that show
@@ -78,8 +80,7 @@ def detect(
 
     Yields
     ------
-    float
-        Share of the work that is done.
+    Progress
 
     Returns
     -------
@@ -125,7 +126,7 @@ def detect(
                     _require_inside(inside, layout, outcome[0])
                 x, y = outcome[0].project(np.array([layout.size]) / 2)[0]
                 point = float(x), float(y)
-        yield 0.8 * (count - len(order)) / count
+        yield Progress(0.8 * (count - len(order)) / count, _MESSAGE)
     if max(_votes(reasons).values(), default=0) > len(found) or not found:
         raise InspectionError(_nothing_found(sequence, layout, reasons, len(found)))
     for index in sorted(reasons):
@@ -140,7 +141,7 @@ def detect(
             del reasons[index]
         except OutlineError as error:
             reasons[index] = error
-        yield 0.8 + 0.2 * (index + 1) / count
+        yield Progress(0.8 + 0.2 * (index + 1) / count, _MESSAGE)
     faulty = _faulty(reasons)
     if len(faulty) > len(found):
         raise InspectionError(_mostly_faulty(sequence, layout, reasons, faulty))
@@ -241,7 +242,10 @@ def _faulty(reasons: dict[int, OutlineError]) -> list[int]:
 
 
 def _mostly_faulty(
-    sequence: Sequence, layout: ModuleLayout, reasons: dict[int, OutlineError], faulty: list[int]
+    sequence: FrameSequence,
+    layout: ModuleLayout,
+    reasons: dict[int, OutlineError],
+    faulty: list[int],
 ) -> str:
     return (
         f"{len(faulty)} of {len(sequence)} frames speak against a module of {layout.rows} rows x "
@@ -251,7 +255,7 @@ def _mostly_faulty(
 
 
 def _nothing_found(
-    sequence: Sequence, layout: ModuleLayout, reasons: dict[int, OutlineError], found: int
+    sequence: FrameSequence, layout: ModuleLayout, reasons: dict[int, OutlineError], found: int
 ) -> str:
     first = min(reasons)
     module = f"{layout.rows} rows x {layout.cols} columns"

@@ -22,9 +22,10 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.memory import expected_grid
 
 if TYPE_CHECKING:
+    from pv_inspect.common.work import Progress
     from pv_inspect.detection.crossings import Crossings, FrameCrossings
     from pv_inspect.geometry.layout import ModuleLayout
-    from pv_inspect.sequence.sequence import Sequence
+    from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["ReducedFrames", "enlarged", "reduction"]
 
@@ -36,12 +37,12 @@ _USUAL_SIDE_PX = 600
 _PLACE = re.compile(r"\((-?[\d.e+]+), (-?[\d.e+]+)\)")
 
 
-def reduction(sequence: Sequence | ReducedFrames, layout: ModuleLayout | None) -> int:
+def reduction(sequence: FrameSequence | ReducedFrames, layout: ModuleLayout | None) -> int:
     """Return the whole factor by which frames are reduced for the search of the module.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     layout : ModuleLayout or None
         None if it is not known yet.
 
@@ -63,7 +64,7 @@ def reduction(sequence: Sequence | ReducedFrames, layout: ModuleLayout | None) -
 class ReducedFrames:
     """What the search asks of a sequence, with means of factor x factor pixels as frames."""
 
-    sequence: Sequence
+    sequence: FrameSequence
     factor: int
 
     def __getattr__(self, name: str) -> Any:
@@ -87,9 +88,9 @@ class ReducedFrames:
         )
         return SimpleNamespace(image=image)
 
-    def as_sequence(self) -> Sequence:
+    def as_sequence(self) -> FrameSequence:
         """Return this as what the search expects."""
-        return cast("Sequence", self)
+        return cast("FrameSequence", self)
 
     def point(self, point: tuple[float, float] | None) -> tuple[float, float] | None:
         """Pixel of a frame to pixel of the reduced frame."""
@@ -100,8 +101,8 @@ class ReducedFrames:
 
 
 def enlarged(
-    search: Generator[float, None, Crossings], factor: int
-) -> Generator[float, None, Crossings]:
+    search: Generator[Progress, None, Crossings], factor: int
+) -> Generator[Progress, None, Crossings]:
     """Bring what was found in reduced frames to the pixels of the frames.
 
     Parameters

@@ -19,7 +19,7 @@ from pv_inspect.detection.outline import OutlineError, Pose, find_outlines, fit_
 from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = [
@@ -113,7 +113,7 @@ class View:
 
 
 def guess_layout(
-    sequence: Sequence,
+    sequence: FrameSequence,
     settings: Settings | None = None,
     inside: tuple[float, float] | None = None,
 ) -> LayoutGuess:
@@ -121,7 +121,7 @@ def guess_layout(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     settings : Settings, optional
         The guess keeps to what they, or else ``module.json``, say of rows, cols and cell_aspect.
     inside : tuple of float, optional
@@ -197,12 +197,12 @@ def layouts_in(image: NDArray[np.float32]) -> list[tuple[ModuleLayout, float]]:
         return []
 
 
-def is_known(sequence: Sequence, settings: Settings) -> bool:
+def is_known(sequence: FrameSequence, settings: Settings) -> bool:
     """Whether the settings or ``module.json`` give both rows and columns."""
     return _known(sequence, settings).keys() >= {"rows", "cols"}
 
 
-def _known(sequence: Sequence, settings: Settings) -> dict[str, float]:
+def _known(sequence: FrameSequence, settings: Settings) -> dict[str, float]:
     given = {key: getattr(settings, key) for key in ("rows", "cols", "cell_aspect")}
     return {**sequence.layout_hint, **{k: v for k, v in given.items() if v is not None}}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Collection
 
 import cv2
 import numpy as np
@@ -11,19 +11,16 @@ from numpy.typing import NDArray
 from pv_inspect.detection.outline import Pose
 from pv_inspect.detection.single_frame import Found
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
-if TYPE_CHECKING:
-    from pv_inspect.registration.register import Registration
-
-__all__ = ["quarter_turn_sentence", "same_way_up"]
+__all__ = ["runs_down", "same_way_up"]
 
 CONTINUITY = 0.1
 """Correlation of the cells' brightness that counts as much as half the turn between two frames."""
 SAMPLES_PER_CELL = 4
 
 
-def same_way_up(sequence: Sequence, layout: ModuleLayout, found: dict[int, Found]) -> None:
+def same_way_up(sequence: FrameSequence, layout: ModuleLayout, found: dict[int, Found]) -> None:
     """Turn the frames so that all show the same cells at the same places of the module.
 
     The outline looks the same turned by half a turn; the brightness of the cells does not. Where
@@ -53,31 +50,17 @@ def same_way_up(sequence: Sequence, layout: ModuleLayout, found: dict[int, Found
             found[index] = Found(turned[turn], frame.turned(layout, turn), share)
 
 
-def quarter_turn_sentence(registration: Registration) -> str:
-    """Say if the rows of the module run down the frames, as when rows and columns are swapped.
+def runs_down(layout: ModuleLayout, poses: Collection[Pose]) -> bool:
+    """Whether the rows of the module run down the frames in most poses.
 
     Parameters
     ----------
-    registration : Registration
-
-    Returns
-    -------
-    str
-        Empty if the rows run across in most frames, or the module looks the same either way.
+    layout : ModuleLayout
+    poses : Pose
+        At least one.
     """
-    layout, used = registration.layout, np.flatnonzero(registration.used)
-    if layout.rows == layout.cols or not len(used):
-        return ""
-    poses = [Pose(registration.camera, registration.homographies[i]) for i in used]
     across = np.median([abs(np.cos(_direction(pose, layout))) for pose in poses])
-    if not across < np.sqrt(0.5):
-        return ""
-    aspect = f" --cell-aspect {1 / layout.cell_aspect:g}" if layout.cell_aspect != 1 else ""
-    return (
-        f"The frames show the module with {layout.cols} rows and {layout.rows} columns, turned by "
-        "a quarter from the given ones: if rows and columns were swapped, give --rows "
-        f"{layout.cols} --cols {layout.rows}{aspect}."
-    )
+    return bool(across < np.sqrt(0.5))
 
 
 def _direction(pose: Pose, layout: ModuleLayout) -> float:

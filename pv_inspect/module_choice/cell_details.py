@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["CellDetails", "cell_details", "degrees_of_freedom", "noise_spectrum"]
 
@@ -72,7 +72,7 @@ class CellDetails:
 
 
 def cell_details(
-    sequence: Sequence, calibration: Calibration, frames: list[int]
+    sequence: FrameSequence, calibration: Calibration, frames: list[int]
 ) -> list[CellDetails]:
     """Sample the cells of frames, and take out what says nothing about the module.
 
@@ -81,7 +81,7 @@ def cell_details(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     calibration : Calibration
         Poses of these frames.
     frames : list of int
@@ -98,7 +98,7 @@ def cell_details(
 
 
 def _details_of(
-    sequence: Sequence, calibration: Calibration, index: int, points: Array
+    sequence: FrameSequence, calibration: Calibration, index: int, points: Array
 ) -> CellDetails:
     frame = sequence.frame(index)
     rows, ny, cols, nx, _ = points.shape

@@ -14,7 +14,7 @@ from pv_inspect.detection.outline import Pose
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.module_choice.frame_agreement import FrameGroups, Placement, group_frames
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["ModuleChoice", "choose_module"]
@@ -90,12 +90,14 @@ class ModuleChoice:
         return replace(crossings, frames=tuple(frames))
 
 
-def choose_module(sequence: Sequence, calibration: Calibration, settings: Settings) -> ModuleChoice:
+def choose_module(
+    sequence: FrameSequence, calibration: Calibration, settings: Settings
+) -> ModuleChoice:
     """Choose the module that most frames show, or the one that a person names.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     calibration : Calibration
         Poses of the frames.
     settings : Settings
@@ -131,7 +133,7 @@ def choose_module(sequence: Sequence, calibration: Calibration, settings: Settin
 
 
 def _wanted(
-    sequence: Sequence, calibration: Calibration, settings: Settings, frames: list[int]
+    sequence: FrameSequence, calibration: Calibration, settings: Settings, frames: list[int]
 ) -> int | None:
     """Return the frame that names the module."""
     if settings.module_of is None:
@@ -146,7 +148,7 @@ def _wanted(
     return wanted
 
 
-def _chosen(sequence: Sequence, found: FrameGroups, kept: set[int], wanted: int | None) -> int:
+def _chosen(sequence: FrameSequence, found: FrameGroups, kept: set[int], wanted: int | None) -> int:
     """Return the number of the group to use."""
     for number, group in enumerate(found.groups):
         if wanted is not None:
@@ -159,7 +161,7 @@ def _chosen(sequence: Sequence, found: FrameGroups, kept: set[int], wanted: int 
     raise InspectionError(_refusal(sequence, found.groups))
 
 
-def _refusal(sequence: Sequence, groups: tuple[tuple[int, ...], ...]) -> str:
+def _refusal(sequence: FrameSequence, groups: tuple[tuple[int, ...], ...]) -> str:
     listed: list[str] = []
     for group in groups:
         name = sequence.names[group[0]]

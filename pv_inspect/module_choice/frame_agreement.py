@@ -16,7 +16,7 @@ from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.module_choice.cell_details import CellDetails, cell_details
 from pv_inspect.module_choice.detail_agreement import Pairs, compare_details
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["FrameGroups", "Placement", "group_frames"]
 
@@ -94,12 +94,14 @@ class FrameGroups:
     comparable: bool
 
 
-def group_frames(sequence: Sequence, calibration: Calibration, frames: list[int]) -> FrameGroups:
+def group_frames(
+    sequence: FrameSequence, calibration: Calibration, frames: list[int]
+) -> FrameGroups:
     """Group frames by the module that they show.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     calibration : Calibration
         Poses of all these frames.
     frames : list of int

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.reports.figures import REGISTRATION_RESIDUAL, RESIDUAL
+from pv_inspect.inspection.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.reports.pictures import contrast_of, crack_mask, crack_overlay
 from pv_inspect.settings import Stage
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from pv_inspect.calibration.calibrate import Calibration
-    from pv_inspect.pipeline import Inspection
+    from pv_inspect.inspection.inspection import Inspection
     from pv_inspect.registration.register import Registration
 
-__all__ = ["plot_cells", "plot_grid", "plot_residuals"]
+__all__ = ["cells", "grid", "residuals"]
 
 GRID = "#56B4E9"
 MEASURED = "#F0E442"
@@ -45,7 +45,7 @@ USED, NOT_USED = "#0072B2", "#D55E00"
 _STEPS_PER_CELL = 4
 
 
-def plot_grid(inspection: Inspection, frame: int | None = None, ax: Axes | None = None) -> Axes:
+def grid(inspection: Inspection, frame: int | None = None, ax: Axes | None = None) -> Axes:
     """Plot a frame with its crossing points and, once it is fitted, the grid.
 
     Parameters
@@ -99,7 +99,7 @@ def plot_grid(inspection: Inspection, frame: int | None = None, ax: Axes | None 
     return ax
 
 
-def plot_cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
+def cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
     """Plot the module, cell by cell, with marks, class, and a "?" where nothing can be said.
 
     Parameters
@@ -157,7 +157,7 @@ def plot_cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_residuals(inspection: Inspection, ax: Axes | None = None) -> Axes:
+def residuals(inspection: Inspection, ax: Axes | None = None) -> Axes:
     """Plot the residual of every frame, as the last stage that looked at the frames knows it.
 
     Parameters

@@ -18,7 +18,7 @@ from pv_inspect.photometry.fixed_pattern import columns_of_frames, fixed_columns
 from pv_inspect.photometry.residual_sums import ResidualSums, halves_along
 from pv_inspect.photometry.vignetting import Vignetting, estimate_vignetting
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [
     "Photometry",
@@ -81,7 +81,7 @@ class Photometry:
 
 
 def observed(
-    sequence: Sequence,
+    sequence: FrameSequence,
     registration: Registration,
     frame: int,
     photometry: Photometry | None = None,
@@ -91,7 +91,7 @@ def observed(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     frame : int
     photometry : Photometry, optional
@@ -155,7 +155,7 @@ def huber_weights(g: Image, predicted: Image, weights: Image) -> Image:
 
 
 def estimate_photometry(
-    sequence: Sequence,
+    sequence: FrameSequence,
     registration: Registration,
     model: ObservationModel,
     image: NDArray[np.floating],
@@ -165,7 +165,7 @@ def estimate_photometry(
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     model : ObservationModel
     image : (height, width) float32

@@ -17,7 +17,7 @@ from pv_inspect.observation.model import NormalEquations, ObservationModel, Sens
 from pv_inspect.photometry.photometry import Photometry, huber_weights, observed
 from pv_inspect.reconstruction.consistency import Consistency
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["Accumulation"]
 
@@ -31,7 +31,7 @@ class Accumulation:
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     motion : (n_frames, 2) float64
         Path of every frame during its exposure, LR px.
@@ -42,7 +42,7 @@ class Accumulation:
         B f of an earlier image f of the module: pixels that contradict it get Huber weights.
     """
 
-    sequence: Sequence
+    sequence: FrameSequence
     registration: Registration
     motion: Array
     equations: NormalEquations
@@ -52,7 +52,7 @@ class Accumulation:
     @classmethod
     def begin(
         cls,
-        sequence: Sequence,
+        sequence: FrameSequence,
         registration: Registration,
         grid: HrGrid,
         rays: SensorRays,

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares, minimize
 
 from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["CrossSpectra", "cross_spectra", "estimate_motion", "fit_motion"]
 
@@ -69,12 +69,12 @@ class CrossSpectra:
     n_patches: int
 
 
-def estimate_motion(sequence: Sequence, registration: Registration) -> Array:
+def estimate_motion(sequence: FrameSequence, registration: Registration) -> Array:
     """Estimate the motion blur of every frame.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
 
     Returns
@@ -97,7 +97,7 @@ def estimate_motion(sequence: Sequence, registration: Registration) -> Array:
 
 
 def cross_spectra(
-    sequence: Sequence, registration: Registration, frames: NDArray[np.intp]
+    sequence: FrameSequence, registration: Registration, frames: NDArray[np.intp]
 ) -> CrossSpectra | None:
     """Cross spectra of frames on the parts of the module that all of them see.
 
@@ -307,7 +307,7 @@ def _start(spectra: CrossSpectra, signal: Array) -> Array:
 
 
 def _rectified(
-    sequence: Sequence, registration: Registration, frame: int, grid: HrGrid
+    sequence: FrameSequence, registration: Registration, frame: int, grid: HrGrid
 ) -> NDArray[np.float32]:
     """One frame on the module plane, in the module's intensities; NaN where it sees nothing."""
     step = 8

@@ -28,7 +28,7 @@ from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX, Reconstruction, brightness_of
 from pv_inspect.reconstruction.solver import Problem, minimise
 from pv_inspect.registration.register import Registration, module_mean
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["Preview", "Region", "RegionImage", "bent"]
@@ -135,7 +135,7 @@ class Preview:
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     whole : Reconstruction, optional
         Of the whole module: PSF, motion and lambda are taken from it where the settings leave
@@ -150,7 +150,7 @@ class Preview:
 
     def __init__(
         self,
-        sequence: Sequence,
+        sequence: FrameSequence,
         registration: Registration,
         whole: Reconstruction | None = None,
     ) -> None:

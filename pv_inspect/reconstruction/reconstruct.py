@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.work import relayed
+from pv_inspect.common.work import Progress, relayed
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import HrGrid
 from pv_inspect.memory import release, require_memory
@@ -35,7 +35,7 @@ from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma, window_
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.reconstruction.support import FAINT, support_of
 from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = [
@@ -67,25 +67,6 @@ _FIRST_LOOK = 10
 _TOLERANCE = 1.5e-3
 # HR rows that `bicubic` projects at a time.
 _ROWS = 256
-
-
-@dataclass(frozen=True, eq=False)
-class Progress:
-    """How far the reconstruction is.
-
-    Parameters
-    ----------
-    fraction : float
-        Share of the work that is done, 0..1.
-    message : str
-        What is being done.
-    image : (height, width) float32, optional
-        Current estimate, for previews; it goes on changing.
-    """
-
-    fraction: float
-    message: str
-    image: Image | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +125,13 @@ class Reconstruction:
 
 
 def reconstruct(
-    sequence: Sequence, registration: Registration, settings: Settings
+    sequence: FrameSequence, registration: Registration, settings: Settings
 ) -> Generator[Progress, None, Reconstruction]:
     """Reconstruct the module from all frames that are in use.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     settings : Settings
         ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
@@ -271,13 +252,13 @@ def solve(
 
 
 def bicubic(
-    sequence: Sequence, registration: Registration, grid: HrGrid, frame: int
+    sequence: FrameSequence, registration: Registration, grid: HrGrid, frame: int
 ) -> NDArray[np.float32]:
     """Rectify one frame by bicubic interpolation: what there is without super-resolution.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     registration : Registration
     grid : HrGrid
     frame : int
@@ -371,7 +352,7 @@ def _choose_prior_weight(
 
 
 def _estimate_psf(
-    sequence: Sequence,
+    sequence: FrameSequence,
     registration: Registration,
     photometry: Photometry | None,
     rays: SensorRays,

@@ -15,14 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration, conventional_focal_length
+from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import normal_equations
-from pv_inspect.registration.register import NOT_CONVERGED, Registration, left_out, module_mean
-from pv_inspect.sequence.sequence import Frame, Sequence
+from pv_inspect.registration.register import (
+    MESSAGE,
+    NOT_CONVERGED,
+    Registration,
+    left_out,
+    module_mean,
+)
+from pv_inspect.sequence.sequence import Frame, FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["register_by_homography"]
@@ -53,16 +60,16 @@ class _Aligned:
 
 
 def register_by_homography(
-    sequence: Sequence,
+    sequence: FrameSequence,
     crossings: Crossings,
     settings: Settings,
     calibration: Calibration | None = None,
-) -> Generator[float, None, Registration]:
+) -> Generator[Progress, None, Registration]:
     """Register every frame to a reference frame by a plain homography.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     crossings : Crossings
         Only measured points count: they give the homographies to start from and, in the reference
         frame, the module plane.
@@ -74,8 +81,7 @@ def register_by_homography(
 
     Yields
     ------
-    float
-        Share of the work that is done.
+    Progress
 
     Returns
     -------
@@ -123,7 +129,7 @@ def register_by_homography(
                 why[index] = "the alignment to the reference frame (ECC) lost it"
             else:
                 warps[index] = found
-        yield 0.85 * (index + 1) / len(sequence)
+        yield Progress(0.85 * (index + 1) / len(sequence), MESSAGE)
     _reject_strangers(warps, why, reference, sequence.indices(settings.keep_frames))
 
     homographies = np.full((len(sequence), 3, 3), np.nan)
@@ -182,7 +188,7 @@ def _homography(source: Array, target: Array) -> Array | None:
     return H if np.isfinite(H).all() and abs(np.linalg.det(H)) > 1e-12 else None
 
 
-def _camera(sequence: Sequence, settings: Settings) -> Camera:
+def _camera(sequence: FrameSequence, settings: Settings) -> Camera:
     height, width = sequence.shape
     focal = settings.focal_length_px or conventional_focal_length(sequence.shape)
     return Camera(
@@ -256,8 +262,8 @@ def _in_front(H: Array, layout: ModuleLayout) -> Array:
 
 
 def _with_photometry(
-    sequence: Sequence, state: Registration
-) -> Generator[float, None, Registration]:
+    sequence: FrameSequence, state: Registration
+) -> Generator[Progress, None, Registration]:
     """Fit gain and offset of every frame to the mean of all, and measure the residual."""
     grid = HrGrid.covering(state.layout, state.lr_px_per_unit, REFERENCE_MAGNIFICATION, 0.1)
     mean, covered = module_mean(sequence, state, grid)
@@ -297,7 +303,7 @@ def _with_photometry(
                 step = np.linalg.lstsq(A[8:, 8:], b[8:], rcond=None)[0]
                 gain[index] = np.clip(gain[index] + step[0], 0.05, 20.0)
                 offset[index] += step[1]
-        yield 0.85 + 0.15 * (int(index) + 1) / len(sequence)
+        yield Progress(0.85 + 0.15 * (int(index) + 1) / len(sequence), MESSAGE)
     used = state.used.copy()
     used[lost] = False
     why = tuple(NOT_CONVERGED if i in lost else reason for i, reason in enumerate(state.why))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.common.work import Progress
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
@@ -23,10 +24,12 @@ from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import N_PARAMETERS, accumulate_frame, normal_equations
 from pv_inspect.registration.straightening import straighten
 from pv_inspect.sequence.copies import copies_told
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["Registration", "left_out", "module_mean", "register", "unregistered"]
+
+MESSAGE = "registering the frames against the module"
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -129,21 +132,20 @@ def unregistered(calibration: Calibration) -> Registration:
 
 
 def register(
-    sequence: Sequence, calibration: Calibration, settings: Settings
-) -> Generator[float, None, Registration]:
+    sequence: FrameSequence, calibration: Calibration, settings: Settings
+) -> Generator[Progress, None, Registration]:
     """Refine every pose so that the frame agrees with the module image (Eq. 6).
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FrameSequence
     calibration : Calibration
     settings : Settings
         If ``kappa`` or ``calibration_file`` is given, the camera stays as it is.
 
     Yields
     ------
-    float
-        Share of the work that is done.
+    Progress
 
     Returns
     -------
@@ -186,10 +188,10 @@ def register(
             if straight is not None:
                 state = anchor = straight
                 rays = _rays(state.camera, sequence.shape)
-            yield done / total
+            yield Progress(done / total, MESSAGE)
         grid = HrGrid.covering(state.layout, lr_px_per_unit, plan.magnification, 0.1)
         reference, covered = module_mean(sequence, state, grid)
-        yield done / total
+        yield Progress(done / total, MESSAGE)
         blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
         rms = np.full(len(sequence), np.nan)
@@ -220,7 +222,7 @@ def register(
                     correlation[index] = _detail_correlation(
                         frame.image, state.camera, homographies[index], blurred, covered, grid
                     )
-            yield done / total
+            yield Progress(done / total, MESSAGE)
         found = np.isfinite(homographies).all(axis=(1, 2)) & np.isfinite(gain + offset)
         lost = dict.fromkeys(_indices(state.used & ~found), NOT_CONVERGED)
         state = _normalised(_without(state, lost), homographies, gain, offset, rms)
@@ -236,7 +238,7 @@ def register(
 
 
 def module_mean(
-    sequence: Sequence, registration: Registration, grid: HrGrid
+    sequence: FrameSequence, registration: Registration, grid: HrGrid
 ) -> tuple[Image, NDArray[np.bool_]]:
     """Mean of all used frames on a grid of the module plane.
 
@@ -317,7 +319,7 @@ def _rays(camera: Camera, shape: tuple[int, int]) -> Array:
     return camera.undistort(camera.to_normalised(np.stack([cols, rows], axis=-1)))
 
 
-def _precision(sequence: Sequence, image: Image, valid: NDArray[np.bool_]) -> Image:
+def _precision(sequence: FrameSequence, image: Image, valid: NDArray[np.bool_]) -> Image:
     sigma = sequence.noise.sigma(cv2.GaussianBlur(image, (0, 0), 2.0))
     return np.where(valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
 
@@ -376,7 +378,7 @@ def _normalised(
     return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
 
 
-def left_out(sequence: Sequence, settings: Settings) -> dict[int, str]:
+def left_out(sequence: FrameSequence, settings: Settings) -> dict[int, str]:
     """Say why frames are not used whatever they show: copies, and what the user does not want."""
     skipped = dict.fromkeys(sequence.indices(settings.skip_frames), LEFT_OUT)
     return copies_told(sequence.copies, sequence.names) | skipped
@@ -413,7 +415,9 @@ def _rejected(
     return replace(state, used=used, why=tuple(why), rms=np.where(used, state.rms, np.nan))
 
 
-def _straightened(sequence: Sequence, state: Registration, kappa_std: float) -> Registration | None:
+def _straightened(
+    sequence: FrameSequence, state: Registration, kappa_std: float
+) -> Registration | None:
     """Refit camera and poses to the gaps of the module image; None if they are not seen enough."""
     if state.used.sum() < MIN_FRAMES_TO_STRAIGHTEN:
         return None

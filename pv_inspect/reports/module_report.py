@@ -17,8 +17,8 @@ from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first
 from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, class_text, length_text, tooltip
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.pipeline import Inspection
-from pv_inspect.reports.figures import median_text
+from pv_inspect.inspection.figures import median_text
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.settings import Settings
 

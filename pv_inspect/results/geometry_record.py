@@ -15,16 +15,16 @@ from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.records import GeometryRecord
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["GEOMETRY_JSON", "exists", "geometry_record", "places", "read_geometry", "source_record"]
 
 GEOMETRY_JSON = "geometry.json"
 
 
-def source_record(sequence: Sequence, out: Path) -> dict[str, Any]:
+def source_record(sequence: FrameSequence, out: Path) -> dict[str, Any]:
     """Where the frames are: absolute, and relative to the result folder, which may move along."""
     given = sequence.opened_from
     record = {}

@@ -6,17 +6,17 @@ import numpy as np
 
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruct import Reconstruction
 from pv_inspect.registration.register import Registration
 from pv_inspect.results.geometry_record import exists, places, read_geometry
 from pv_inspect.results.write import Result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["reopen", "resume"]
 
 
-def reopen(result: Result) -> Sequence:
+def reopen(result: Result) -> FrameSequence:
     """Open the frames that a result was made of.
 
     The way from the result folder is tried first: folders move together.
@@ -36,7 +36,7 @@ def reopen(result: Result) -> Sequence:
             "looked at, but nothing can be computed; open the frames themselves for that."
         )
     given = source["path"]
-    opened = Sequence.open(
+    opened = FrameSequence.open(
         found[0] if isinstance(given, list) else found[0][0],
         result.settings.dark_frame,
         result.settings.flat_frame,
@@ -51,7 +51,7 @@ def reopen(result: Result) -> Sequence:
     return opened
 
 
-def resume(result: Result, sequence: Sequence) -> Inspection:
+def resume(result: Result, sequence: FrameSequence) -> Inspection:
     """Build the inspection that a result folder was written from.
 
     Without ``geometry.json`` (results of earlier versions) the crossing points are missing: what
@@ -60,7 +60,7 @@ def resume(result: Result, sequence: Sequence) -> Inspection:
     Parameters
     ----------
     result : Result
-    sequence : Sequence
+    sequence : FrameSequence
         Its frames, from `reopen`.
 
     Raises

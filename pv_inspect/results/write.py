@@ -14,7 +14,7 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from pv_inspect import __version__
+from pv_inspect._version import __version__
 from pv_inspect.calibration.calibrate import focal_length_source
 from pv_inspect.common.csv_tables import csv_lines, csv_text
 from pv_inspect.common.records import checked, json_from, read_text
@@ -25,7 +25,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.image_files.stored import stored_floats, stored_shape
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.results.folder import (
     CELLS_FOLDER,

@@ -17,7 +17,7 @@ from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.cracks.wording import class_text
 from pv_inspect.errors import printable
-from pv_inspect.reports.figures import RESIDUAL_MEANING, median_text
+from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.reports.module_report import with_review_state
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.results.write import Result, check_unchanged

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from pv_inspect import __version__
+from pv_inspect._version import __version__
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 

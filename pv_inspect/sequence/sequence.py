@@ -31,7 +31,7 @@ from pv_inspect.sequence.sensor import (
 from pv_inspect.sequence.sidecar import read_sidecar
 from pv_inspect.settings import Settings
 
-__all__ = ["Frame", "NoiseModel", "Sequence", "cached_frames"]
+__all__ = ["Frame", "FrameSequence", "NoiseModel", "cached_frames", "open_sequence"]
 
 Raw = NDArray[np.unsignedinteger]
 
@@ -96,12 +96,12 @@ class _FrameCache:
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class FrameSequence:
     """Frames of one module taken by one camera; lazy and immutable.
 
-    Open one with :meth:`Sequence.open`. It holds the sensor's properties and file names; pixels
-    are read when asked for (the frames used last stay in a small cache). Reading from several
-    threads is safe, and it pickles.
+    Open one with `open_sequence`. It holds the sensor's properties and file names; pixels are read
+    when asked for (the frames used last stay in a small cache). Reading from several threads is
+    safe, and it pickles.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class Sequence:
         dark_frame: Path | str | None = None,
         flat_frame: Path | str | None = None,
         limits: ReadLimits | None = None,
-    ) -> Sequence:
+    ) -> FrameSequence:
         """Open frames and check all of them.
 
         Parameters
@@ -324,6 +324,35 @@ class Sequence:
                 "rows and cols beside the frames."
             )
         return ModuleLayout(known["rows"], known["cols"], float(known.get("cell_aspect", 1.0)))
+
+
+def open_sequence(
+    source: Path | str | Iterable[Path | str],
+    dark_frame: Path | str | None = None,
+    flat_frame: Path | str | None = None,
+    limits: ReadLimits | None = None,
+) -> FrameSequence:
+    """Open frames and check all of them; `FrameSequence.open` says more.
+
+    Parameters
+    ----------
+    source : path or paths
+        A folder of frames, a TIFF of several pages, or a list of files.
+    dark_frame, flat_frame : path, optional
+        Reference images of the camera.
+    limits : ReadLimits, optional
+        What is read at most.
+
+    Returns
+    -------
+    FrameSequence
+
+    Raises
+    ------
+    InspectionError
+        If anything is missing, unreadable, of different sizes or of the wrong type.
+    """
+    return FrameSequence.open(source, dark_frame, flat_frame, limits)
 
 
 def _prepare(

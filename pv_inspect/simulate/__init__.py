@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.work import relayed, result_of
+from pv_inspect.common.work import Progress, relayed, result_of
 from pv_inspect.simulate.exposure import (
     Exposer,
     Pose,
@@ -90,7 +90,7 @@ class SimulatedSequence:
 
 def simulate(
     settings: SimulationSettings, scene: Scene | None = None
-) -> Generator[float, None, SimulatedSequence]:
+) -> Generator[Progress, None, SimulatedSequence]:
     """Simulate a sequence.
 
     Parameters
@@ -101,8 +101,7 @@ def simulate(
 
     Yields
     ------
-    float
-        Fraction done.
+    Progress
 
     Raises
     ------
@@ -114,13 +113,16 @@ def simulate(
     poses = choose_poses(settings, pose_rng)
     share = 0.2
     if scene is None:
-        scene = yield from relayed(render_scene(settings, module_rng), lambda done: share * done)
+        scene = yield from relayed(
+            render_scene(settings, module_rng),
+            lambda done: Progress(share * done, "drawing the cells"),
+        )
     exposer = Exposer(settings, scene)
     sensor = Sensor(settings, pattern_rng)
     frames = np.empty((len(poses), settings.height, settings.width), np.uint16)
     for i, pose in enumerate(poses):
         frames[i] = sensor.digitise(exposer.expose(pose), pose.gain, noise_rng)
-        yield share + (1 - share) * (i + 1) / len(poses)
+        yield Progress(share + (1 - share) * (i + 1) / len(poses), "exposing the frames")
     return SimulatedSequence(settings, scene, poses, frames)
 
 

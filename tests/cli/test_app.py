@@ -19,7 +19,7 @@ import pv_inspect
 from pv_inspect import pipeline
 from pv_inspect.cli import app as cli
 from pv_inspect.cli import gui as cli_gui
-from pv_inspect.pipeline import Step
+from pv_inspect.inspection.inspection import Step
 from pv_inspect.results.write import read_result
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import SimulationSettings, reserve_sequence
@@ -59,12 +59,12 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> list[Settings]:
     """A pipeline that ends at once; returns the settings that it was called with."""
     seen: list[Settings] = []
 
-    def inspect(_: Any, settings: Settings) -> Generator[Step, None, Any]:
+    def inspect_steps(_: Any, settings: Settings) -> Generator[Step, None, Any]:
         seen.append(settings)
         yield Step(Stage.DETECT, 0.5, "looking")
         return made_inspection(warnings=("a warning.",))
 
-    monkeypatch.setattr(pipeline, "inspect", inspect)
+    monkeypatch.setattr(pipeline, "inspect_steps", inspect_steps)
     return seen
 
 
@@ -89,11 +89,11 @@ def test_a_run_writes_the_result_and_sums_it_up_on_stdout(
 def test_a_result_in_doubt_says_so_first_and_exits_with_3(
     frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: bool
 ) -> None:
-    def inspect(*_: Any) -> Generator[Step, None, Any]:
+    def inspect_steps(*_: Any) -> Generator[Step, None, Any]:
         yield Step(Stage.DETECT, 0.5, "looking")
         return made_inspection(doubts=("The frames contradict each other.",))
 
-    monkeypatch.setattr(pipeline, "inspect", inspect)
+    monkeypatch.setattr(pipeline, "inspect_steps", inspect_steps)
     options = ["--quiet"] if quiet else []
     result = called("run", frames, "--out", tmp_path / "out", *options)
     assert result.exit_code == cli.IN_DOUBT == 3
@@ -212,11 +212,11 @@ def test_a_full_disk_is_one_sentence_and_leaves_nothing(
 
 
 def failing(error: BaseException) -> Any:
-    def inspect(*_: Any) -> Generator[Step, None, Any]:
+    def inspect_steps(*_: Any) -> Generator[Step, None, Any]:
         yield Step(Stage.DETECT, 0.0, "looking")
         raise error
 
-    return inspect
+    return inspect_steps
 
 
 def test_a_calibration_file_is_checked_before_anything_is_computed(
@@ -233,7 +233,7 @@ def test_a_calibration_file_is_checked_before_anything_is_computed(
 def test_an_interrupt_exits_with_130_and_one_line(
     frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "inspect", failing(KeyboardInterrupt()))
+    monkeypatch.setattr(pipeline, "inspect_steps", failing(KeyboardInterrupt()))
     refused(called("run", frames, "--out", tmp_path / "out"), "Interrupted", code=130)
     assert not (tmp_path / "out").exists()
 
@@ -241,7 +241,7 @@ def test_an_interrupt_exits_with_130_and_one_line(
 def test_a_fault_of_the_program_is_one_sentence_and_debug_shows_where(
     frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "inspect", failing(ZeroDivisionError("a\nb")))
+    monkeypatch.setattr(pipeline, "inspect_steps", failing(ZeroDivisionError("a\nb")))
     arguments = ("run", frames, "--out", tmp_path / "out")
     refused(called(*arguments), r"ZeroDivisionError: a b \(--debug shows where\)")
     assert "Traceback" in called(*arguments, "--debug").stderr

@@ -12,22 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect import progress
 from pv_inspect.common import compiling
 from pv_inspect.common.compiling import cache_problem, compiled
+from pv_inspect.common.work import Progress
+from pv_inspect.progress import follow as progress
 
 PACKAGE = Path(compiling.__file__).parents[1]
 # Compiles one small function, and follows work as the command line does.
 PROGRAM = """
 import numpy as np
-from pv_inspect.progress import follow_fraction
+from pv_inspect.progress.follow import follow
+from pv_inspect.common.work import Progress
 from pv_inspect.observation.stencil import dot
 
 def work():
-    yield 1.0
+    yield Progress(1.0, "work")
     return float(dot(np.ones((2, 3), np.float32), np.ones((2, 3), np.float32)))
 
-print(follow_fraction(work(), "work"))
+print(follow(work(), "work"))
 """
 
 
@@ -103,10 +105,10 @@ def test_a_disk_that_is_full_and_a_damaged_file_stop_nothing(
 def test_quiet_says_nothing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def work() -> Generator[float, None, int]:
-        yield 1.0
+    def work() -> Generator[Progress, None, int]:
+        yield Progress(1.0, "work")
         return 5
 
     monkeypatch.setattr(compiling, "_problems", ["no place"])
-    assert progress.follow_fraction(work(), "work", quiet=True) == 5
+    assert progress.follow(work(), "work", quiet=True) == 5
     assert capsys.readouterr() == ("", "")

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 
 from pv_inspect.errors import LONGEST_SENTENCE, InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import read_result, write_result
 from tests.handmade import made_inspection

@@ -25,7 +25,7 @@ from pv_inspect.cli import app as cli
 from pv_inspect.results import write as results
 from pv_inspect.sequence import sequence
 from pv_inspect.storage import folders
-from pv_inspect.pipeline import Step
+from pv_inspect.inspection.inspection import Step
 from pv_inspect.settings import Stage
 from tests.handmade import made_inspection
 
@@ -33,19 +33,19 @@ from tests.handmade import made_inspection
 __main__.main()
 """
 WAITS = """
-def inspect(*_):
+def inspect_steps(*_):
     Path({ready!r}).touch()
     for _ in range(6000):
         yield Step(Stage.DETECT, 0.0, "looking")
         time.sleep(0.01)
 
 import time
-pipeline.inspect = inspect
+pipeline.inspect_steps = inspect_steps
 """
 LOSES_IT = """
 import time
 
-def inspect(*_):
+def inspect_steps(*_):
     yield Step(Stage.DETECT, 0.0, "looking")
     try:
         Path({ready!r}).touch()
@@ -55,12 +55,12 @@ def inspect(*_):
     yield Step(Stage.DETECT, 0.5, "looking")
     raise AssertionError("went on")
 
-pipeline.inspect = inspect
+pipeline.inspect_steps = inspect_steps
 """
 ENDS_AFTER_THE_EXCHANGE = """
 import os, signal, time
 
-def inspect(*_):
+def inspect_steps(*_):
     return made_inspection()
     yield
 
@@ -71,7 +71,7 @@ def exchange(a, b):
     time.sleep(0.05)
     return done
 
-pipeline.inspect = inspect
+pipeline.inspect_steps = inspect_steps
 folders.exchange = exchange
 """
 

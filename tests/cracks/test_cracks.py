@@ -34,7 +34,7 @@ class BelowLevel:
 
 def drained(work: Generator[float, None, T]) -> tuple[list[float], T]:
     fractions: list[float] = []
-    return fractions, result_of(work, fractions.append)
+    return fractions, result_of(work, lambda step: fractions.append(step.fraction))
 
 
 def test_any_detector_fills_the_map_and_the_features() -> None:

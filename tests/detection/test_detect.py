@@ -17,13 +17,13 @@ from pv_inspect.detection.detect import detect
 from pv_inspect.detection.edges import EdgeOffsets, cell_edges
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 
 def _finish(generator: Any) -> Any:
     fractions: list[float] = []
-    result = result_of(generator, fractions.append)
+    result = result_of(generator, lambda step: fractions.append(step.fraction))
     assert fractions == sorted(fractions)
     return result
 
@@ -59,7 +59,7 @@ def test_crossings_of_a_distorted_tilted_module_are_found_to_a_third_of_a_pixel(
     small_sequence: tuple[SimulatedSequence, Path],
 ) -> None:
     simulation, folder = small_sequence
-    crossings = _finish(detect(Sequence.open(folder), ModuleLayout(4, 6)))
+    crossings = _finish(detect(FrameSequence.open(folder), ModuleLayout(4, 6)))
     assert all(frame.why == "" for frame in crossings.frames)
     assert max(_rmse(crossings, simulation, i) for i in range(8)) < 0.35
     assert np.mean([frame.measured.mean() for frame in crossings.frames]) > 0.9
@@ -347,7 +347,7 @@ def test_the_central_module_of_a_field_photograph_is_found(
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     of_photo = next(one for one in truth["images"] if one["file"] == f"field_{photo:02d}.png")
     layout = ModuleLayout(of_photo["rows"], of_photo["cols"])
-    crossings = _finish(detect(Sequence.open([folder / of_photo["file"]]), layout))
+    crossings = _finish(detect(FrameSequence.open([folder / of_photo["file"]]), layout))
     error = np.linalg.norm(crossings.frames[0].points_px - of_photo["crossings_px"], axis=1)
     assert np.median(error) < 0.5
     assert error.max() < 2

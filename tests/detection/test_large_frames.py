@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.detection.test_detect import _in_memory
 
 from pv_inspect.common.work import result_of
 from pv_inspect.detection.detect import detect
@@ -12,6 +11,7 @@ from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.simulate import SimulationSettings, simulated
+from tests.detection.test_detect import _in_memory
 
 LAYOUT = ModuleLayout(3, 4)
 

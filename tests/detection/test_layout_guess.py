@@ -9,7 +9,7 @@ import pytest
 
 from pv_inspect.detection.layout_guess import guess_layout, is_known
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
 
@@ -68,7 +68,7 @@ def test_a_guess_keeps_to_what_is_known() -> None:
 def test_the_layout_is_known_from_settings_and_sidecar_together(
     small_sequence: tuple[Any, Path],
 ) -> None:
-    sequence = Sequence.open(small_sequence[1])
+    sequence = FrameSequence.open(small_sequence[1])
     assert is_known(sequence, Settings())
     bare = _in_memory([])
     assert not is_known(bare, Settings(rows=3))
@@ -87,6 +87,6 @@ def test_a_bright_area_without_gaps_is_refused_in_one_sentence() -> None:
 @pytest.mark.parametrize("name", ["D2", "D5"])
 def test_the_layout_of_the_shared_sequences_is_guessed(shared_sequences: Path, name: str) -> None:
     frames = sorted((shared_sequences / name / "frames").iterdir())[:1]
-    sequence = Sequence.open(frames)
-    told = Sequence.open(shared_sequences / name).layout(Settings())
+    sequence = FrameSequence.open(frames)
+    told = FrameSequence.open(shared_sequences / name).layout(Settings())
     assert guess_layout(sequence).layout == told

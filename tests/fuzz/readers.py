@@ -59,17 +59,17 @@ def prepared(reader: str, folder: Path) -> None:
 
 
 def _frames(folder: Path, _: Args) -> None:
-    from pv_inspect.sequence.sequence import Sequence
+    from pv_inspect.sequence.sequence import FrameSequence
 
-    sequence = Sequence.open(folder / "frames")
+    sequence = FrameSequence.open(folder / "frames")
     _check_sequence(sequence)
 
 
 def _references(folder: Path, args: Args) -> None:
-    from pv_inspect.sequence.sequence import Sequence
+    from pv_inspect.sequence.sequence import FrameSequence
 
     given = {kind: folder / name for kind, name in zip(args[::2], args[1::2], strict=True)}
-    _check_sequence(Sequence.open(folder / "frames", **given))
+    _check_sequence(FrameSequence.open(folder / "frames", **given))
 
 
 def _check_sequence(sequence: Any) -> None:
@@ -247,7 +247,7 @@ def _without_the_work() -> None:
     def understood(*_: object, **__: object) -> None:
         raise typer.Exit
 
-    pipeline.inspect = understood  # type: ignore[assignment]
+    pipeline.inspect_steps = understood  # type: ignore[assignment]
     simulate.simulate = understood  # type: ignore[assignment]
 
 

@@ -131,7 +131,7 @@ def result_files() -> dict[str, bytes]:
     from dataclasses import replace
 
     from pv_inspect.results.write import write_result
-    from pv_inspect.sequence.sequence import Sequence
+    from pv_inspect.sequence.sequence import FrameSequence
     from tests.handmade import FakeSequence, made_inspection
 
     with tempfile.TemporaryDirectory() as name:
@@ -139,7 +139,7 @@ def result_files() -> dict[str, bytes]:
         for file, content in frames().items():
             (place / file).parent.mkdir(exist_ok=True)
             (place / file).write_bytes(content)
-        opened = Sequence.open(place / "frames")
+        opened = FrameSequence.open(place / "frames")
         made = FakeSequence(opened.names, opened.shape, opened.source, place / "frames")
         inspection = made_inspection(sequence=made)
         settings = replace(inspection).settings.changed(prior_weight=0.05, skip_frames=("a.tif",))

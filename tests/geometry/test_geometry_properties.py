@@ -13,7 +13,7 @@ from pv_inspect.calibration.calibrate import calibrate
 from pv_inspect.common.work import result_of
 from pv_inspect.detection.detect import detect
 from pv_inspect.registration.register import Registration, register
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
@@ -28,7 +28,7 @@ REPITCHED_PX = 2e-2
 """With the unit, the cell width, the pitch of the module image changes as well."""
 
 
-def located(sequence: Sequence, settings: Settings) -> Registration:
+def located(sequence: FrameSequence, settings: Settings) -> Registration:
     crossings = result_of(detect(sequence, sequence.layout(settings)))
     calibration = calibrate(crossings, sequence.shape, settings)
     return result_of(register(sequence, calibration, settings))
@@ -56,7 +56,7 @@ def settings() -> Settings:
 
 @pytest.fixture(scope="module")
 def usual(small_sequence: Small, settings: Settings) -> np.ndarray:
-    return crossings_px(located(Sequence.open(small_sequence[1]), settings))
+    return crossings_px(located(FrameSequence.open(small_sequence[1]), settings))
 
 
 def test_the_order_of_the_frames_does_not_matter(
@@ -64,7 +64,7 @@ def test_the_order_of_the_frames_does_not_matter(
 ) -> None:
     order = np.random.default_rng(2).permutation(N)
     files = sorted((small_sequence[1] / "frames").iterdir())
-    shuffled = crossings_px(located(Sequence.open([files[i] for i in order]), settings))
+    shuffled = crossings_px(located(FrameSequence.open([files[i] for i in order]), settings))
     assert np.abs(shuffled - usual[order]).max() < ROUNDING_PX
 
 
@@ -72,7 +72,7 @@ def test_the_brightness_does_not_matter(
     small_sequence: Small, settings: Settings, usual: np.ndarray, tmp_path: Path
 ) -> None:
     folder = written(tmp_path / "scaled", 3 * small_sequence[0].frames)
-    scaled = crossings_px(located(Sequence.open(folder), settings))
+    scaled = crossings_px(located(FrameSequence.open(folder), settings))
     assert np.abs(scaled - usual).max() < ROUNDING_PX
 
 
@@ -81,7 +81,7 @@ def transposed(frames: np.ndarray, rows: int, cols: int, aspect: float, folder: 
     written(folder, frames.transpose(0, 2, 1))
     sidecar = {"rows": cols, "cols": rows, "cell_aspect": 1 / aspect}
     (folder / "module.json").write_text(json.dumps(sidecar))
-    turned = crossings_px(located(Sequence.open(folder), Settings()))
+    turned = crossings_px(located(FrameSequence.open(folder), Settings()))
     return turned.transpose(0, 2, 1, 3)[..., ::-1]
 
 
@@ -100,6 +100,6 @@ def test_transposing_half_cut_cells_inverts_their_aspect(tmp_path: Path) -> None
         )
     )  # fmt: skip
     folder = written(tmp_path / "upright", simulation.frames)
-    upright = located(Sequence.open(folder), Settings(rows=8, cols=3, cell_aspect=2.0))
+    upright = located(FrameSequence.open(folder), Settings(rows=8, cols=3, cell_aspect=2.0))
     back = transposed(simulation.frames, 8, 3, 2.0, tmp_path / "transposed")
     assert np.abs(back - crossings_px(upright)).max() < REPITCHED_PX

@@ -18,8 +18,8 @@ from pv_inspect.module_choice.cell_details import CellDetails, noise_spectrum
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.module_choice.detail_agreement import compare_details
 from pv_inspect.module_choice.frame_agreement import _Clusters, group_frames
-from pv_inspect.pipeline import inspect
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.pipeline import inspect_steps
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import (
     Scene,
@@ -56,12 +56,12 @@ def _opened(
     modules: tuple[Scene, ...],
     shown: tuple[int, ...],
     made: SimulationSettings = MADE,
-) -> tuple[Sequence, Calibration]:
+) -> tuple[FrameSequence, Calibration]:
     """Write the frames; their poses are those of the truth, half a pixel off."""
     mixture = simulate_mixture(made, modules, shown)
     for i, frame in enumerate(mixture.frames):
         tifffile.imwrite(folder / f"frame_{i:03d}.tif", frame)
-    return Sequence.open(folder), _calibration(mixture)
+    return FrameSequence.open(folder), _calibration(mixture)
 
 
 def _calibration(mixture: SimulatedMixture) -> Calibration:
@@ -272,5 +272,5 @@ def test_a_run_on_two_modules_ends_before_anything_is_fused(
     settings = Settings(rows=4, cols=6, registration_model=model)
     seen: list[Stage] = []
     with pytest.raises(InspectionError, match="These 4 frames look like 2 modules"):
-        seen.extend(step.stage for step in inspect(sequence, settings))
+        seen.extend(step.stage for step in inspect_steps(sequence, settings))
     assert seen[-1] is Stage.CALIBRATE

@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.reports.test_module_report import Reader
 
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import CRACK_RGB, blended, grey, jpeg_url
 from pv_inspect.results.write import read_result, write_result
 from pv_inspect.settings import Stage
 from tests.handmade import REASON, made_inspection, made_reconstruction
+from tests.reports.test_module_report import Reader
 
 
 def html(shows_itself: object) -> str:

@@ -12,8 +12,10 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
 
+import pv_inspect
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.notebook import plots
 from pv_inspect.sequence.sequence import Frame
 from tests.handmade import REASON, FakeSequence, made_inspection
 
@@ -53,16 +55,16 @@ def lines(ax: Any) -> dict[str, np.ndarray]:
 
 
 def test_plots_go_where_they_are_told_to(inspection: Inspection) -> None:
-    for plot in (inspection.plot_grid, inspection.plot_cells, inspection.plot_residuals):
+    for plot in (plots.grid, plots.cells, plots.residuals):
         _, ax = plt.subplots()
-        assert plot(ax=ax) is ax
+        assert plot(inspection, ax=ax) is ax
         n_figures = len(plt.get_fignums())
-        assert plot() is not ax
+        assert plot(inspection) is not ax
         assert len(plt.get_fignums()) == n_figures + 1
 
 
 def test_the_grid_is_drawn_over_its_frame_in_its_pixels(inspection: Inspection) -> None:
-    ax = inspection.plot_grid(2)
+    ax = plots.grid(inspection, 2)
     np.testing.assert_array_equal(ax.images[0].get_array(), inspection.sequence.frame(2).image)
     assert (ax.get_xlim(), ax.get_ylim()) == ((-0.5, 79.5), (59.5, -0.5))
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [LR px]", "y [LR px]")
@@ -87,14 +89,14 @@ def test_a_crossing_that_was_not_measured_is_drawn_where_the_fit_expects_it(
     seen = crossings.frames[0].measured.copy()
     seen[4] = False
     frames = (replace(crossings.frames[0], measured=seen), *crossings.frames[1:])
-    ax = replace(inspection, crossings=replace(crossings, frames=frames)).plot_grid(0)
+    ax = plots.grid(replace(inspection, crossings=replace(crossings, frames=frames)), 0)
     np.testing.assert_allclose(lines(ax)["predicted crossing"], registration.crossings_px(0)[[4]])
     assert len(lines(ax)["measured crossing"]) == 11
     assert legend(ax) == ["fitted grid", "measured crossing", "predicted crossing"]
 
 
 def test_a_frame_that_is_not_used_has_its_reason_and_no_grid(inspection: Inspection) -> None:
-    ax = inspection.plot_grid(1)
+    ax = plots.grid(inspection, 1)
     assert REASON in ax.get_title()
     assert not ax.collections
 
@@ -103,16 +105,16 @@ def test_the_first_used_frame_is_shown_if_none_is_named(inspection: Inspection) 
     registration = inspection.registration
     assert registration is not None
     used = replace(registration, used=np.array([False, False, True]))
-    ax = replace(inspection, registration=used).plot_grid()
+    ax = plots.grid(replace(inspection, registration=used))
     assert ax.get_title() == "frame_2.tif"
     found_only = without(inspection, "registration", "calibration")
-    assert found_only.plot_grid().get_title() == "frame_0.tif"
+    assert plots.grid(found_only).get_title() == "frame_0.tif"
 
 
 def test_the_cells_are_the_module_image_in_cell_widths(inspection: Inspection) -> None:
     reconstruction = inspection.reconstruction
     assert reconstruction is not None
-    ax = inspection.plot_cells()
+    ax = plots.cells(inspection)
     image, overlay = ax.images
     np.testing.assert_array_equal(image.get_array(), reconstruction.image)
     left, right, bottom, top = image.get_extent()
@@ -133,7 +135,7 @@ def test_the_cells_are_the_module_image_in_cell_widths(inspection: Inspection) -
 
 
 def test_only_a_suspected_cell_is_outlined(inspection: Inspection) -> None:
-    ax = inspection.plot_cells()
+    ax = plots.cells(inspection)
     (box,) = (patch for patch in ax.patches if isinstance(patch, Rectangle))
     centre = np.array(box.get_xy()) + np.array([box.get_width(), box.get_height()]) / 2
     np.testing.assert_allclose(centre, [1.5, 0.5])  # row 1, column 2
@@ -141,7 +143,7 @@ def test_only_a_suspected_cell_is_outlined(inspection: Inspection) -> None:
     assert inspection.cracks is not None
     (label,) = ax.texts
     assert label.get_text().endswith(f"{inspection.cracks.cells[1].crack_length_cells:.2f}")
-    unread = without(inspection, "cracks").plot_cells()
+    unread = plots.cells(without(inspection, "cracks"))
     assert len(unread.images) == 1
     assert not unread.patches
 
@@ -154,7 +156,7 @@ def test_half_cells_keep_their_shape() -> None:
     grid = HrGrid.covering(ModuleLayout(4, 3, 2.0), 20.0, 4.0)
     image = np.random.default_rng(0).random(grid.shape, dtype=np.float32)
     made = replace(inspection.reconstruction, grid=grid, image=image)
-    ax = replace(inspection, reconstruction=made).plot_cells()
+    ax = plots.cells(replace(inspection, reconstruction=made))
     np.testing.assert_allclose(ax.get_yticks(), [0.25, 0.75, 1.25, 1.75])
     assert ax.get_aspect() == 1.0
 
@@ -174,7 +176,7 @@ def bars(ax: Any) -> Mapping[int, float]:
 def test_residuals_are_those_of_the_last_stage_that_looked_at_the_frames(
     inspection: Inspection, gone: Sequence[str], expected: dict[int, float], unit: str
 ) -> None:
-    ax = without(inspection, *gone).plot_residuals()
+    ax = plots.residuals(without(inspection, *gone))
     assert bars(ax) == pytest.approx(expected)
     assert f"[{unit}]" in ax.get_ylabel()
     assert ("noise alone" in legend(ax)) == (unit == "noise")
@@ -186,15 +188,15 @@ def test_residuals_are_those_of_the_last_stage_that_looked_at_the_frames(
 def test_what_is_not_there_yet_is_said_in_one_sentence(inspection: Inspection) -> None:
     empty = without(inspection, "crossings", "calibration", "registration", "reconstruction")
     for plot, stage in (
-        (empty.plot_grid, "detect"),
-        (empty.plot_cells, "reconstruct"),
-        (empty.plot_residuals, "calibrate"),
+        (plots.grid, "detect"),
+        (plots.cells, "reconstruct"),
+        (plots.residuals, "calibrate"),
     ):
         with pytest.raises(InspectionError, match=f"run it at least to .* '{stage}'"):
-            plot()
+            plot(empty)
     for frame in (-1, 3):
         with pytest.raises(InspectionError, match=f"no frame {frame} in a sequence of 3: give 0"):
-            inspection.plot_grid(frame)
+            plots.grid(inspection, frame)
     assert not plt.get_fignums()
 
 
@@ -211,4 +213,4 @@ def test_without_matplotlib_one_sentence_names_the_extra(
     monkeypatch.delitem(sys.modules, "pv_inspect.notebook.plots", raising=False)
     monkeypatch.setattr(builtins, "__import__", without_matplotlib)
     with pytest.raises(InspectionError, match=r"pip install 'pv-inspect\[notebook\]'"):
-        inspection.plot_cells()
+        pv_inspect.plots.cells(inspection)

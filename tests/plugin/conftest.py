@@ -21,8 +21,9 @@ from qtpy.QtCore import QSettings  # noqa: E402 (Qt reads the platform on import
 from napari_pv_inspect.application import build  # noqa: E402
 from napari_pv_inspect.docks.gallery import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
-from pv_inspect.pipeline import Inspection, Step, inspect, run_to_end  # noqa: E402
-from pv_inspect.sequence.sequence import Sequence  # noqa: E402
+from pv_inspect.inspection.inspection import Inspection, Step  # noqa: E402
+from pv_inspect.pipeline import inspect  # noqa: E402
+from pv_inspect.sequence.sequence import FrameSequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
 from tests.plugin.reviewing import show, stored  # noqa: E402
@@ -70,13 +71,13 @@ def tiny_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def tiny_sequence(tiny_folder: Path) -> Sequence:
+def tiny_sequence(tiny_folder: Path) -> FrameSequence:
     """Return the tiny module, opened."""
-    return Sequence.open(tiny_folder)
+    return FrameSequence.open(tiny_folder)
 
 
 @pytest.fixture(scope="session")
-def tiny_settings(tiny_sequence: Sequence) -> Settings:
+def tiny_settings(tiny_sequence: FrameSequence) -> Settings:
     """Settings that the workbench has after opening the tiny module, made quick."""
     hint = tiny_sequence.layout_hint
     return Settings(
@@ -89,14 +90,14 @@ def tiny_settings(tiny_sequence: Sequence) -> Settings:
 
 
 @pytest.fixture(scope="session")
-def tiny_inspection(tiny_sequence: Sequence, tiny_settings: Settings) -> Inspection:
+def tiny_inspection(tiny_sequence: FrameSequence, tiny_settings: Settings) -> Inspection:
     """Return a whole inspection of the tiny module."""
-    return run_to_end(inspect(tiny_sequence, tiny_settings))
+    return inspect(tiny_sequence, tiny_settings)
 
 
 @pytest.fixture
 def bench(
-    make_napari_viewer: Callable[..., Any], tiny_sequence: Sequence, tiny_settings: Settings
+    make_napari_viewer: Callable[..., Any], tiny_sequence: FrameSequence, tiny_settings: Settings
 ) -> tuple[Any, InspectDock, CellsDock]:
     """Viewer and docks with the tiny module open."""
     viewer = make_napari_viewer()
@@ -123,7 +124,7 @@ def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot)
 def replayed(monkeypatch: pytest.MonkeyPatch, tiny_inspection: Inspection) -> Generator[Replay]:
     """Replace the pipeline by a replay of the tiny inspection that goes on when it is let."""
     replay = Replay(tiny_inspection)
-    monkeypatch.setattr("pv_inspect.pipeline.inspect", replay.inspect)
+    monkeypatch.setattr("pv_inspect.pipeline.inspect_steps", replay.inspect_steps)
     yield replay
     replay.go_on, replay.busy = True, False
 
@@ -140,10 +141,10 @@ class Replay:
         self.closed = 0
         self.starts: list[Inspection | None] = []
 
-    def inspect(
-        self, _: Sequence, settings: Settings, start: Inspection | None = None
+    def inspect_steps(
+        self, _: FrameSequence, settings: Settings, start: Inspection | None = None
     ) -> Generator[Step, None, Inspection]:
-        """Replay; same signature as `pipeline.inspect`."""
+        """Replay; same signature as `pipeline.inspect_steps`."""
         self.starts.append(start)
         whole = self.inspection
         parts = {

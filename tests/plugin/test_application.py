@@ -18,7 +18,7 @@ from napari_pv_inspect.appearance import GRID_COLOUR, MEASURED_COLOUR
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 pytestmark = pytest.mark.xvfb
 
@@ -36,7 +36,7 @@ def app(make_napari_viewer: Callable[..., Any], qtbot: QtBot) -> tuple[Any, Any,
 
 
 @pytest.fixture
-def tiny_app(app: tuple[Any, Any, Any], tiny_sequence: Sequence, qtbot: QtBot) -> Any:
+def tiny_app(app: tuple[Any, Any, Any], tiny_sequence: FrameSequence, qtbot: QtBot) -> Any:
     """Return the application with the tiny module open."""
     app[1].bench.model.open(tiny_sequence)
     app[1].bench.model.change_settings(magnification=2.0, max_iterations=5)

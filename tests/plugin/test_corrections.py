@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QMessageBox
 
 from napari_pv_inspect.appearance import CORRECTED, CRACKS
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 Shown = tuple[Any, Any, Any]
 CELL = (1, 1)

@@ -27,7 +27,7 @@ from napari_pv_inspect.docks.placing import show_live_cell
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.style import style
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 SIZE = (1280, 800)
 
@@ -35,7 +35,7 @@ SIZE = (1280, 800)
 @pytest.fixture
 def window(
     make_napari_viewer: Callable[..., Any],
-    tiny_sequence: Sequence,
+    tiny_sequence: FrameSequence,
     replayed: Any,
     qtbot: QtBot,
 ) -> tuple[Any, Any]:

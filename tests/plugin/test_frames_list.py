@@ -12,9 +12,9 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.docks.pages.frames import GRID, NAME, STATUS
 from napari_pv_inspect.models.frame_table import FrameRow, frame_rows, ticked
 from napari_pv_inspect.models.workbench import RunState
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.registration.register import LEFT_OUT
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from tests.plugin.reviewing import show
 
@@ -30,12 +30,14 @@ def with_fate(inspection: Inspection, frame: int, why: str, settings: Settings) 
     return replace(inspection, registration=fate, settings=settings)
 
 
-def rows(sequence: Sequence, inspection: Inspection | None, settings: Settings) -> list[FrameRow]:
+def rows(
+    sequence: FrameSequence, inspection: Inspection | None, settings: Settings
+) -> list[FrameRow]:
     return list(frame_rows(sequence, inspection, settings))
 
 
 def test_before_a_run_every_frame_is_wanted_and_nothing_is_known(
-    tiny_sequence: Sequence, tiny_settings: Settings
+    tiny_sequence: FrameSequence, tiny_settings: Settings
 ) -> None:
     for row in rows(tiny_sequence, None, tiny_settings):
         assert row.used is None
@@ -44,7 +46,7 @@ def test_before_a_run_every_frame_is_wanted_and_nothing_is_known(
 
 
 def test_the_numbers_are_those_of_the_inspection(
-    tiny_sequence: Sequence, tiny_inspection: Inspection
+    tiny_sequence: FrameSequence, tiny_inspection: Inspection
 ) -> None:
     row = rows(tiny_sequence, tiny_inspection, tiny_inspection.settings)[2]
     assert tiny_inspection.calibration is not None
@@ -58,7 +60,7 @@ def test_the_numbers_are_those_of_the_inspection(
 
 
 def test_a_used_frame_is_left_out_and_taken_back(
-    tiny_sequence: Sequence, tiny_inspection: Inspection
+    tiny_sequence: FrameSequence, tiny_inspection: Inspection
 ) -> None:
     settings = tiny_inspection.settings
     row = rows(tiny_sequence, tiny_inspection, settings)[1]
@@ -71,7 +73,7 @@ def test_a_used_frame_is_left_out_and_taken_back(
 
 
 def test_a_rejected_frame_is_kept_and_given_back_to_the_automatic_choice(
-    tiny_sequence: Sequence, tiny_inspection: Inspection
+    tiny_sequence: FrameSequence, tiny_inspection: Inspection
 ) -> None:
     settings = tiny_inspection.settings
     rejected = with_fate(tiny_inspection, 3, "shows another module", settings)
@@ -86,7 +88,7 @@ def test_a_rejected_frame_is_kept_and_given_back_to_the_automatic_choice(
 
 
 def test_a_frame_that_a_person_left_out_is_not_called_rejected(
-    tiny_sequence: Sequence, tiny_inspection: Inspection
+    tiny_sequence: FrameSequence, tiny_inspection: Inspection
 ) -> None:
     name = tiny_sequence.names[0]
     settings = tiny_inspection.settings.changed(skip_frames=(name,))
@@ -182,7 +184,7 @@ def test_the_mouse_ticks(filled: Any, qtbot: QtBot) -> None:
 
 
 def test_another_sequence_has_no_ticks_of_the_one_before(
-    filled: Any, tiny_sequence: Sequence
+    filled: Any, tiny_sequence: FrameSequence
 ) -> None:
     _, dock, _ = filled
     dock.frames.table.setData(dock.frames.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)

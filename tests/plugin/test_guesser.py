@@ -10,15 +10,15 @@ from napari_pv_inspect.live.layout_guess import LayoutGuesser
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 
 def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(
-    tiny_sequence: Sequence, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+    tiny_sequence: FrameSequence, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Any] = []
 
-    def guess(_: Sequence, settings: Any, inside: Any) -> LayoutGuess:
+    def guess(_: FrameSequence, settings: Any, inside: Any) -> LayoutGuess:
         asked.append((settings.rows, inside))
         return LayoutGuess(ModuleLayout(3, 4 if inside is None else 7), 0.9, ())
 

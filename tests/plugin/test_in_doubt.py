@@ -19,9 +19,9 @@ from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.models.workflow import Status, steps_of
 from napari_pv_inspect.widgets.wrapped_text import Told
 from pv_inspect.cracks import CellState
-from pv_inspect.doubts import doubts_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.doubts import doubts_of
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import read_result, write_result
 from tests.plugin.reviewing import show
 

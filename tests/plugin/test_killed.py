@@ -18,7 +18,7 @@ from pytestqt.qtbot import QtBot
 from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import read_result, write_result
 from pv_inspect.review import ReviewStore, VerdictKind
 

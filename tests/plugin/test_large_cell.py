@@ -14,7 +14,7 @@ from qtpy.QtTest import QTest
 
 from napari_pv_inspect.docks.large_cell import LargeCell, large_cell
 from napari_pv_inspect.widgets.panel_grid import areas
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 LEFT, NONE = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
 Opened = tuple[Any, Any, Any, LargeCell]

@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import write_result
 
 

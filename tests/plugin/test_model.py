@@ -9,13 +9,13 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel, best_st
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
 
 @pytest.fixture
-def model(tiny_sequence: Sequence) -> WorkbenchModel:
+def model(tiny_sequence: FrameSequence) -> WorkbenchModel:
     model = WorkbenchModel()
     model.open(tiny_sequence)
     model.change_settings(magnification=2.0, max_iterations=5)
@@ -45,7 +45,7 @@ def test_a_run_needs_a_sequence_and_only_one_runs_at_a_time(model: WorkbenchMode
 
 
 def test_unknown_rows_keep_a_run_from_starting_and_leave_the_model_idle(
-    tiny_sequence: Sequence,
+    tiny_sequence: FrameSequence,
 ) -> None:
     model = WorkbenchModel()
     model.open(replace(tiny_sequence, layout_hint={}))
@@ -58,7 +58,7 @@ GUESS = LayoutGuess(ModuleLayout(3, 4), 0.9, ())
 
 
 def test_a_guessed_layout_fills_the_settings_until_a_person_changes_it(
-    tiny_sequence: Sequence,
+    tiny_sequence: FrameSequence,
 ) -> None:
     model = WorkbenchModel()
     sequence = replace(tiny_sequence, layout_hint={})
@@ -71,7 +71,7 @@ def test_a_guessed_layout_fills_the_settings_until_a_person_changes_it(
 
 
 def test_a_guess_comes_too_late_for_another_sequence_or_for_a_person(
-    tiny_sequence: Sequence,
+    tiny_sequence: FrameSequence,
 ) -> None:
     model = WorkbenchModel()
     sequence = replace(tiny_sequence, layout_hint={})

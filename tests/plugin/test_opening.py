@@ -18,10 +18,10 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.session import Session, read_session, write_session
 from pv_inspect.results.write import write_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
 MODULE_LAYERS = {"Module image", "Support", "Contradictions", "Cracks"}
@@ -103,7 +103,7 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     viewer, dock, cells = app
     out = tmp_path / "out"
     shutil.copytree(tiny_folder, tmp_path / "moved")
-    sequence = Sequence.open(tmp_path / "moved")
+    sequence = FrameSequence.open(tmp_path / "moved")
     write_result(replace(tiny_inspection, sequence=sequence), out)
     shutil.rmtree(tmp_path / "moved")
     notices: list[str] = []
@@ -237,7 +237,7 @@ def test_the_newest_of_two_wishes_wins(app: Any, tiny_folder: Path, qtbot: QtBot
 
 
 def test_a_layer_of_the_reader_beats_what_is_still_being_opened(
-    app: Any, tiny_folder: Path, tiny_sequence: Sequence, qtbot: QtBot
+    app: Any, tiny_folder: Path, tiny_sequence: FrameSequence, qtbot: QtBot
 ) -> None:
     viewer, dock, _ = app
     dock.bench.open(sorted((tiny_folder / "frames").iterdir())[:2])
@@ -247,7 +247,7 @@ def test_a_layer_of_the_reader_beats_what_is_still_being_opened(
 
 
 def test_another_dark_frame_reads_the_frames_again_and_a_wrong_one_is_refused(
-    app: Any, tiny_folder: Path, tiny_sequence: Sequence, tmp_path: Path, qtbot: QtBot
+    app: Any, tiny_folder: Path, tiny_sequence: FrameSequence, tmp_path: Path, qtbot: QtBot
 ) -> None:
     _, dock, _ = app
     model = dock.bench.model
@@ -275,7 +275,7 @@ def test_another_dark_frame_reads_the_frames_again_and_a_wrong_one_is_refused(
 
 
 def test_the_dark_frame_of_the_settings_is_used_for_what_napari_reads(
-    app: Any, tiny_folder: Path, tiny_sequence: Sequence, tmp_path: Path, qtbot: QtBot
+    app: Any, tiny_folder: Path, tiny_sequence: FrameSequence, tmp_path: Path, qtbot: QtBot
 ) -> None:
     viewer, dock, _ = app
     dark = tmp_path / "dark.tif"

@@ -14,7 +14,7 @@ from napari_pv_inspect.layers.overlays import (
 from napari_pv_inspect.layers.placement import cell_box, module_placement
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 
 def test_x_y_of_the_core_becomes_row_col_of_napari() -> None:

@@ -10,12 +10,12 @@ from pytestqt.qtbot import QtBot
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.run import RunController
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
 
 @pytest.fixture
-def runs(tiny_sequence: Sequence, qtbot: QtBot) -> RunController:
+def runs(tiny_sequence: FrameSequence, qtbot: QtBot) -> RunController:
     model = WorkbenchModel()
     model.open(tiny_sequence)
     model.change_settings(magnification=2.0, max_iterations=5)
@@ -104,7 +104,7 @@ def test_shutdown_and_another_sequence_forget_the_run_that_waits(
     hold(runs, replayed, qtbot)
     runs.model.change_settings(prior_weight=0.5)
     runs.start()
-    runs.model.open(Sequence.open(tiny_folder))
+    runs.model.open(FrameSequence.open(tiny_folder))
     finish(runs, replayed, qtbot)
     qtbot.wait(50)
     assert len(replayed.starts) == 1

@@ -13,9 +13,9 @@ from npe2 import PluginManifest
 import napari_pv_inspect
 from napari_pv_inspect.layers.layer_data import RESULT_KEY, SEQUENCE_KEY
 from napari_pv_inspect.reader import get_reader, read_result, read_sequence
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import write_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 MANIFEST = Path(napari_pv_inspect.__file__).parent / "napari.yaml"
 
@@ -55,12 +55,12 @@ def test_frames_become_one_lazy_stack_that_carries_the_sequence(tiny_folder: Pat
     assert data.shape == (5, 180, 240)
     assert kind == "image"
     sequence = attributes["metadata"][SEQUENCE_KEY]
-    assert isinstance(sequence, Sequence)
+    assert isinstance(sequence, FrameSequence)
     np.testing.assert_array_equal(data[3].compute(), sequence.frame(3).image)
 
 
 def test_a_multi_page_tiff_and_a_list_of_frames_are_sequences(
-    tiny_folder: Path, tiny_sequence: Sequence, tmp_path: Path
+    tiny_folder: Path, tiny_sequence: FrameSequence, tmp_path: Path
 ) -> None:
     stack = tmp_path / "stack.tif"
     tifffile.imwrite(

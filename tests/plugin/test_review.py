@@ -24,7 +24,7 @@ from napari_pv_inspect.review.controller import LITTLE_PATIENCE_S
 from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import read_result, write_result
 from pv_inspect.review import ReviewStore, Verdict, VerdictKind
 from tests.plugin.reviewing import show, stored

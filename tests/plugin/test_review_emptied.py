@@ -16,7 +16,7 @@ from napari_pv_inspect.review.controller import OTHER_GRID, OTHER_LAYOUT
 from napari_pv_inspect.review.queries import NO_CELLS
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.cells import CellTiles
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import ReviewStore, VerdictKind
 from tests.plugin.reviewing import show, stored
 

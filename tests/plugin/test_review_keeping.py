@@ -15,7 +15,7 @@ from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import ModuleData, ReviewStore, Verdict, VerdictKind
 
 OK, A, B, C = VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_B, VerdictKind.CRACK_C

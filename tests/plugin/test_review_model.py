@@ -16,7 +16,7 @@ from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import ModuleData, Order, ReviewState, ReviewStore, Verdict, VerdictKind
 
 OK, A, C = VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_C

@@ -8,15 +8,15 @@ from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.models.workflow import Deed, Status, next_step, steps_of
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
 D, N, W = Status.DONE, Status.NEXT, Status.WAITING
 
 
 @pytest.fixture
-def model(tiny_sequence: Sequence, tiny_inspection: Inspection) -> WorkbenchModel:
+def model(tiny_sequence: FrameSequence, tiny_inspection: Inspection) -> WorkbenchModel:
     model = WorkbenchModel()
     model.open(tiny_sequence)
     model.change_settings(**dict(tiny_inspection.settings))
@@ -44,7 +44,7 @@ def test_an_empty_bench_asks_for_frames() -> None:
 
 
 def test_a_guessed_layout_is_confirmed_before_the_grid_is_detected(
-    tiny_sequence: Sequence,
+    tiny_sequence: FrameSequence,
 ) -> None:
     model = WorkbenchModel()
     sequence = replace(tiny_sequence, layout_hint={})

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
-from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.session.trials import TrialKeeper
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.trials import read_trials
 from pv_inspect.results.write import read_result, write_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 
 class Bench:
@@ -127,7 +127,7 @@ def test_trials_made_before_the_first_save_go_with_it(
 
 
 def test_another_sequence_takes_nothing_from_the_folder_of_the_last(
-    new_bench: Callable[[], Bench], folder: Path, tiny_sequence: Sequence
+    new_bench: Callable[[], Bench], folder: Path, tiny_sequence: FrameSequence
 ) -> None:
     bench = new_bench()
     bench.reopen(folder)

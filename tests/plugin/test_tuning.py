@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.trials import Tuning, what_differs
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 
@@ -110,7 +110,7 @@ def test_a_name_is_kept_and_can_be_taken_back() -> None:
     assert hand.tuning.trials[0].title == "first look"
 
 
-def test_another_sequence_begins_a_new_list(tiny_sequence: Sequence) -> None:
+def test_another_sequence_begins_a_new_list(tiny_sequence: FrameSequence) -> None:
     hand = Hand()
     hand.try_(1.0)
     hand.model.open(tiny_sequence)

@@ -15,8 +15,8 @@ from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.layers.layer_data import sequence_layer
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.sequence.sequence import FrameSequence
 
 
 def finish(dock: Any, qtbot: QtBot) -> None:
@@ -38,7 +38,7 @@ def test_opening_shows_the_frames_and_prefills_the_layout(bench: Any) -> None:
 
 
 def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
-    bench: Any, tiny_sequence: Sequence, qtbot: QtBot
+    bench: Any, tiny_sequence: FrameSequence, qtbot: QtBot
 ) -> None:
     _, dock, _ = bench
     dock.bench.model.open(replace(tiny_sequence, layout_hint={}))
@@ -244,7 +244,7 @@ def test_the_dock_may_be_closed_mid_run_and_opened_again(
 
 def test_a_layer_of_the_reader_is_adopted(bench: Any, tiny_folder: Path, qtbot: QtBot) -> None:
     viewer, dock, _ = bench
-    other = Sequence.open(tiny_folder)
+    other = FrameSequence.open(tiny_folder)
     data, attributes, _ = sequence_layer(other)
     layer = viewer.add_image(data, **attributes)
     assert dock.bench.model.sequence is other
@@ -304,7 +304,7 @@ def test_one_workbench_per_viewer(bench: Any, tiny_inspection: Inspection) -> No
 
 
 def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
-    make_napari_viewer: Any, tiny_sequence: Sequence, replayed: Any, qtbot: QtBot
+    make_napari_viewer: Any, tiny_sequence: FrameSequence, replayed: Any, qtbot: QtBot
 ) -> None:
     viewer = make_napari_viewer()
     dock = InspectDock(viewer)

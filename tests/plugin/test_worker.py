@@ -11,12 +11,12 @@ from pytestqt.qtbot import QtBot
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.run import RunController
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
 
 @pytest.fixture
-def runs(tiny_sequence: Sequence, qtbot: QtBot) -> RunController:
+def runs(tiny_sequence: FrameSequence, qtbot: QtBot) -> RunController:
     model = WorkbenchModel()
     model.open(tiny_sequence)
     model.change_settings(magnification=2.0, max_iterations=5)
@@ -113,7 +113,7 @@ def test_the_run_of_another_sequence_begins_when_that_of_the_last_one_has_stoppe
     replayed.go_on, replayed.busy = False, True
     runs.start()
     qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
-    runs.model.open(Sequence.open(tiny_folder))
+    runs.model.open(FrameSequence.open(tiny_folder))
     assert runs.model.inspection is None
     assert replayed.closed == 0, "opening does not wait for the run"
     assert runs.start()
@@ -132,7 +132,7 @@ def test_a_run_that_waits_for_another_one_to_stop_can_be_cancelled(
     replayed.go_on, replayed.busy = False, True
     runs.start()
     qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
-    runs.model.open(Sequence.open(tiny_folder))
+    runs.model.open(FrameSequence.open(tiny_folder))
     runs.start()
     runs.cancel()
     replayed.go_on, replayed.busy = True, False
@@ -167,7 +167,7 @@ def test_another_sequence_ends_the_run(
     replayed.go_on = False
     runs.start()
     qtbot.waitUntil(lambda: runs.model.draft.crossings is not None, timeout=10_000)
-    runs.model.open(Sequence.open(tiny_folder))
+    runs.model.open(FrameSequence.open(tiny_folder))
     assert runs.model.run_state is RunState.IDLE
     qtbot.wait(50)
     assert runs.model.inspection is None

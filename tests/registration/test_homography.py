@@ -17,7 +17,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.registration import homography as homography_registration
 from pv_inspect.registration.homography import register_by_homography
 from pv_inspect.registration.register import Registration, register
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (
     SimulatedSequence,
@@ -31,7 +31,7 @@ T = TypeVar("T")
 
 def finish(generator: Generator[float, None, T]) -> T:
     fractions: list[float] = []
-    result = result_of(generator, fractions.append)
+    result = result_of(generator, lambda step: fractions.append(step.fraction))
     assert fractions == sorted(fractions)
     assert all(0 <= f <= 1 for f in fractions)
     return result
@@ -40,7 +40,7 @@ def finish(generator: Generator[float, None, T]) -> T:
 @dataclass(frozen=True)
 class Scene:
     simulation: SimulatedSequence
-    sequence: Sequence
+    sequence: FrameSequence
     crossings: Crossings
     plain: Registration
 
@@ -73,7 +73,7 @@ def made(folder: Path, kappa: float) -> Scene:
         )
     )  # fmt: skip
     write_sequence(simulation, folder / "sequence")
-    sequence = Sequence.open(folder / "sequence")
+    sequence = FrameSequence.open(folder / "sequence")
     crossings = finish(detect(sequence, sequence.layout(Settings())))
     plain = finish(register_by_homography(sequence, crossings, Settings()))
     return Scene(simulation, sequence, crossings, plain)

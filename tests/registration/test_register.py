@@ -16,7 +16,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import HrGrid, ModuleLayout
 from pv_inspect.registration.alignment import N_PARAMETERS, accumulate_frame, normal_equations
 from pv_inspect.registration.register import Registration, module_mean, register, unregistered
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence
 
@@ -65,13 +65,13 @@ def _interframe_px(registration: Registration, simulation: SimulatedSequence) ->
 
 
 @pytest.fixture(scope="module")
-def scene(small_sequence: tuple[SimulatedSequence, Path]) -> tuple[Sequence, Calibration, Any]:
+def scene(small_sequence: tuple[SimulatedSequence, Path]) -> tuple[FrameSequence, Calibration, Any]:
     simulation, folder = small_sequence
-    return Sequence.open(folder), _true_calibration(simulation), simulation
+    return FrameSequence.open(folder), _true_calibration(simulation), simulation
 
 
 def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, simulation = scene
     start = _disturbed(truth, 1.0)
@@ -83,7 +83,7 @@ def test_poses_that_are_a_pixel_off_come_back_to_a_fiftieth(
 
 
 def test_poses_stay_registered_where_there_are_too_few_frames_to_straighten(
-    scene: tuple[Sequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
+    scene: tuple[FrameSequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence, truth, simulation = scene
     used = np.arange(8) < 4
@@ -102,7 +102,9 @@ def test_poses_stay_registered_where_there_are_too_few_frames_to_straighten(
     assert _interframe_px(registration, simulation) < 0.03
 
 
-def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration, Any]) -> None:
+def test_the_crossings_end_where_the_gaps_are(
+    scene: tuple[FrameSequence, Calibration, Any],
+) -> None:
     sequence, truth, simulation = scene
     start = _disturbed(truth, 0.5, seed=4)
     camera = Camera(truth.camera.K, truth.camera.kappa + 0.01)
@@ -114,7 +116,9 @@ def test_the_crossings_end_where_the_gaps_are(scene: tuple[Sequence, Calibration
     assert np.sqrt(np.square(errors).sum(axis=-1).mean()) < 0.1
 
 
-def test_gains_follow_the_flicker_of_the_light(scene: tuple[Sequence, Calibration, Any]) -> None:
+def test_gains_follow_the_flicker_of_the_light(
+    scene: tuple[FrameSequence, Calibration, Any],
+) -> None:
     sequence, truth, simulation = scene
     registration = result_of(register(sequence, truth, Settings()))
     gains = np.array([pose.gain for pose in simulation.poses])
@@ -124,7 +128,7 @@ def test_gains_follow_the_flicker_of_the_light(scene: tuple[Sequence, Calibratio
 
 
 def test_a_camera_out_of_a_file_stays_as_it_is(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     start = replace(truth, kappa_std=0.05)
@@ -138,7 +142,7 @@ def test_a_camera_out_of_a_file_stays_as_it_is(
 class _Swapped:
     """The sequence with one frame replaced."""
 
-    def __init__(self, sequence: Sequence, index: int, image: np.ndarray) -> None:
+    def __init__(self, sequence: FrameSequence, index: int, image: np.ndarray) -> None:
         self._sequence, self._index, self._image = sequence, index, image
         self.shape, self.noise, self.names = sequence.shape, sequence.noise, sequence.names
 
@@ -164,7 +168,7 @@ def _mirrored(calibration: Calibration, frame: int, shape: tuple[int, int]) -> n
 
 
 def test_a_frame_of_another_module_is_rejected_with_its_reason(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     # The same outline and gaps with the cells of the module mirrored: another module.
@@ -180,7 +184,7 @@ def test_a_frame_of_another_module_is_rejected_with_its_reason(
 
 
 def test_a_person_may_keep_and_leave_out_frames(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     other = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
@@ -195,7 +199,7 @@ def test_a_person_may_keep_and_leave_out_frames(
 
 
 def test_a_frame_taken_upside_down_is_turned_and_used(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     upside_down = np.ascontiguousarray(sequence.frame(3).image[::-1, ::-1])
@@ -211,7 +215,7 @@ def test_a_frame_taken_upside_down_is_turned_and_used(
     np.testing.assert_allclose(registration.crossings_px(3)[-1], pixels[0], atol=1.0)
 
 
-def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, Any]) -> None:
+def test_one_frame_is_registered_to_itself(scene: tuple[FrameSequence, Calibration, Any]) -> None:
     sequence, truth, _ = scene
     used = np.zeros(8, bool)
     used[0] = True
@@ -222,7 +226,7 @@ def test_one_frame_is_registered_to_itself(scene: tuple[Sequence, Calibration, A
 
 
 def test_nothing_to_register_is_said_in_one_sentence(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     none = replace(truth, used=np.zeros(8, bool), why=("black",) * 8)
@@ -282,7 +286,7 @@ def test_the_normal_equations_are_the_gradient_of_the_squared_residual() -> None
 
 
 def test_the_module_mean_marks_what_no_frame_sees(
-    scene: tuple[Sequence, Calibration, Any],
+    scene: tuple[FrameSequence, Calibration, Any],
 ) -> None:
     sequence, truth, _ = scene
     state = unregistered(truth)
@@ -293,7 +297,7 @@ def test_the_module_mean_marks_what_no_frame_sees(
 
 
 def test_a_frame_whose_equations_are_singular_is_left_out_with_its_reason(
-    scene: tuple[Sequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
+    scene: tuple[FrameSequence, Calibration, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sequence, truth, _ = scene
     align, calls = registration_module._align, 0

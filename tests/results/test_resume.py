@@ -11,10 +11,10 @@ import pytest
 import tifffile
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import read_result, write_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 from tests.handmade import made_inspection
 
@@ -98,19 +98,19 @@ def test_a_damaged_geometry_is_one_sentence(tmp_path: Path, text: str) -> None:
 
 
 def test_the_frames_are_found_where_they_were(frames: Path, tmp_path: Path) -> None:
-    sequence = Sequence.open(frames)
+    sequence = FrameSequence.open(frames)
     written(sequence, tmp_path / "out")
     assert reopen(read_result(tmp_path / "out")).names == sequence.names
 
 
 def test_a_list_of_frames_is_found_again_in_its_order(frames: Path, tmp_path: Path) -> None:
-    sequence = Sequence.open([frames / f"frame_{i}.tif" for i in (2, 0, 1)])
+    sequence = FrameSequence.open([frames / f"frame_{i}.tif" for i in (2, 0, 1)])
     written(sequence, tmp_path / "out")
     assert reopen(read_result(tmp_path / "out")).names == sequence.names
 
 
 def test_frames_and_result_may_move_together(frames: Path, tmp_path: Path) -> None:
-    written(Sequence.open(frames), tmp_path / "plant" / "result")
+    written(FrameSequence.open(frames), tmp_path / "plant" / "result")
     shutil.move(tmp_path / "plant", tmp_path / "archive")
     found = reopen(read_result(tmp_path / "archive" / "result"))
     assert found.source == tmp_path / "archive" / "module"
@@ -119,14 +119,14 @@ def test_frames_and_result_may_move_together(frames: Path, tmp_path: Path) -> No
 def test_frames_that_went_away_are_one_sentence_with_their_place(
     frames: Path, tmp_path: Path
 ) -> None:
-    written(Sequence.open(frames), tmp_path / "out")
+    written(FrameSequence.open(frames), tmp_path / "out")
     shutil.rmtree(frames)
     with pytest.raises(InspectionError, match=f"no longer at {frames}"):
         reopen(read_result(tmp_path / "out"))
 
 
 def test_other_frames_at_the_same_place_are_refused(frames: Path, tmp_path: Path) -> None:
-    written(Sequence.open(frames), tmp_path / "out")
+    written(FrameSequence.open(frames), tmp_path / "out")
     (frames / "frame_1.tif").rename(frames / "frame_7.tif")
     with pytest.raises(InspectionError, match="other frames"):
         reopen(read_result(tmp_path / "out"))
@@ -135,7 +135,7 @@ def test_other_frames_at_the_same_place_are_refused(frames: Path, tmp_path: Path
 def test_a_result_of_an_earlier_version_does_not_know_its_frames(
     frames: Path, tmp_path: Path
 ) -> None:
-    written(Sequence.open(frames), tmp_path / "out")
+    written(FrameSequence.open(frames), tmp_path / "out")
     path = tmp_path / "out" / "result.json"
     record = json.loads(path.read_text())
     del record["source"]
@@ -148,7 +148,7 @@ def test_the_dark_frame_of_the_settings_is_used_again(frames: Path, tmp_path: Pa
     dark = tmp_path / "dark.tif"
     tifffile.imwrite(dark, np.full((40, 48), 300, np.uint16))
     inspection = made_inspection(
-        sequence=Sequence.open(frames, dark), settings=Settings(dark_frame=dark)
+        sequence=FrameSequence.open(frames, dark), settings=Settings(dark_frame=dark)
     )
     write_result(replace(inspection), tmp_path / "out")
     assert reopen(read_result(tmp_path / "out")).black_level == 300.0

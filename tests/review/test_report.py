@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.reports.test_module_report import Reader
 from typer.testing import CliRunner
 
 from pv_inspect.cli import app as cli
@@ -17,6 +16,7 @@ from pv_inspect.review import Measure, ModuleData, ReviewStore, Verdict, Verdict
 from pv_inspect.review.report import export_review, render_review
 from pv_inspect.storage import folders
 from tests.handmade import made_inspection
+from tests.reports.test_module_report import Reader
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from pv_inspect.detection.detect import detect
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.registration.register import LEFT_OUT, left_out
 from pv_inspect.sequence.copies import FrameContents, copies_sentence, copies_told, likeness
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
@@ -137,7 +137,7 @@ def repeated(small_sequence: tuple[SimulatedSequence, Path], tmp_path_factory: A
     for name, stack in stacks.items():
         path = folder / f"{name}.tif"
         tifffile.imwrite(path, np.stack(stack), photometric="minisblack")
-        opened[name] = Sequence.open(path)
+        opened[name] = FrameSequence.open(path)
     return opened
 
 

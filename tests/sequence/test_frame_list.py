@@ -11,7 +11,7 @@ import tifffile
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence.frame_list import existing_image, list_frames
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from tests.image_files.making import tags, tiff
 
@@ -48,7 +48,7 @@ def test_a_link_to_a_frame_of_the_same_folder_counts_once_and_is_told(folder: Pa
     assert found.warnings == (
         "frame_99.tif is a link to the same file as frame_0.tif: it counts once.",
     )
-    assert Sequence.open(folder).warnings == found.warnings
+    assert FrameSequence.open(folder).warnings == found.warnings
 
 
 def test_the_file_itself_is_kept_rather_than_a_link_before_it(folder: Path) -> None:
@@ -103,11 +103,11 @@ def test_a_pipe_is_refused_and_never_waited_for(folder: Path) -> None:
     for source in (folder, pipe, [pipe]):
         assert "pipe.tif is no file but a pipe: leave it out." in complaint(source)
     with pytest.raises(InspectionError, match="is no file but a pipe"):
-        Sequence.open([folder / "frame_0.tif"], dark_frame=pipe)
+        FrameSequence.open([folder / "frame_0.tif"], dark_frame=pipe)
     pipe.unlink()
     os.mkfifo(folder / "module.json")
     with pytest.raises(InspectionError, match=r"module\.json is no file but a pipe"):
-        Sequence.open(folder)
+        FrameSequence.open(folder)
 
 
 def test_a_socket_and_a_device_are_refused(
@@ -132,7 +132,7 @@ def test_a_folder_is_no_reference_frame(folder: Path) -> None:
 
 def test_names_are_printable_and_can_be_given_back(folder: Path) -> None:
     write(folder / "bad\x1b[31m\n\u202e.tif", 9)
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     shown = r"bad\x1b[31m\n\u202e.tif"
     assert sequence.names[0] == shown
     assert sequence.indices([shown]) == sequence.indices(["bad\x1b[31m\n\u202e.tif"]) == [0]
@@ -170,14 +170,14 @@ def test_small_files_that_unfold_to_very_much_are_refused_by_their_headers(
     (tmp_path / "x.tif").write_bytes(tiff([page] * 300, b"\1\2\3\4"))
     monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
     with pytest.raises(InspectionError, match=r"unfold from 0\.0\d+ MB to 9000 MB"):
-        Sequence.open(tmp_path / "x.tif")
+        FrameSequence.open(tmp_path / "x.tif")
 
 
 def test_the_limits_are_settings(folder: Path) -> None:
     limits = Settings(max_frame_mpx=0.01, max_frames=3).read_limits
-    assert len(Sequence.open(folder, limits=limits)) == 3
+    assert len(FrameSequence.open(folder, limits=limits)) == 3
     with pytest.raises(InspectionError, match="raise max_frame_mpx"):
-        Sequence.open([write(folder / "big.tif", shape=(200, 200))], limits=limits)
+        FrameSequence.open([write(folder / "big.tif", shape=(200, 200))], limits=limits)
 
 
 def test_frames_of_other_sizes_are_refused_before_anything_is_decoded(
@@ -186,11 +186,11 @@ def test_frames_of_other_sizes_are_refused_before_anything_is_decoded(
     write(folder / "other.tif", shape=(60, 50))
     monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
     with pytest.raises(InspectionError, match=r"other\.tif is 50 x 60, the sequence is 50 x 40"):
-        Sequence.open(folder)
+        FrameSequence.open(folder)
 
 
 def test_a_frame_that_changes_or_vanishes_is_told(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     write(folder / "frame_0.tif", 77)
     os.utime(folder / "frame_0.tif", ns=(0, 1))
     with pytest.raises(InspectionError, match=r"frame_0\.tif has changed since it was opened"):

@@ -13,7 +13,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "sequences"
@@ -71,7 +71,7 @@ def complaint(action: Callable[[], object]) -> str:
 def test_a_folder_is_read_in_natural_order(tmp_path: Path, suffix: str) -> None:
     frames = make_frames(12)
     write(tmp_path, frames, suffix)
-    sequence = Sequence.open(tmp_path)
+    sequence = FrameSequence.open(tmp_path)
     assert sequence.names == tuple(f"frame_{i}{suffix}" for i in range(12))
     assert len(sequence) == 12
     assert sequence.shape == SHAPE
@@ -83,11 +83,11 @@ def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
     frames = make_frames(4)
     tifffile.imwrite(tmp_path / "stack.tif", np.stack(frames), photometric="minisblack")
     (tmp_path / "stack.json").write_text('{"rows": 3, "cols": 4}')
-    sequence = Sequence.open(tmp_path / "stack.tif")
+    sequence = FrameSequence.open(tmp_path / "stack.tif")
     assert sequence.names == tuple(f"stack.tif[{i}]" for i in range(4))
     assert sequence.layout_hint == {"rows": 3, "cols": 4}
     np.testing.assert_array_equal(sequence.raw(3), frames[3])
-    np.testing.assert_array_equal(Sequence.open(tmp_path).raw(2), frames[2])
+    np.testing.assert_array_equal(FrameSequence.open(tmp_path).raw(2), frames[2])
 
 
 @pytest.mark.parametrize(
@@ -96,14 +96,14 @@ def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
 def test_a_tiff_without_a_picture_is_refused_not_dropped(folder: Path, content: bytes) -> None:
     (folder / "frame_9.tif").write_bytes(content)
     with pytest.raises(InspectionError, match=r"frame_9\.tif can't be read"):
-        Sequence.open(folder)
+        FrameSequence.open(folder)
 
 
 def test_a_list_keeps_its_order_and_tells_equal_names_apart(tmp_path: Path) -> None:
     a = write(tmp_path / "a", make_frames(2))
     b = write(tmp_path / "b", make_frames(2, seed=1))
-    assert Sequence.open([a[1], str(a[0])]).names == ("frame_1.tif", "frame_0.tif")
-    assert Sequence.open([a[0], b[0]]).names == ("a/frame_0.tif", "b/frame_0.tif")
+    assert FrameSequence.open([a[1], str(a[0])]).names == ("frame_1.tif", "frame_0.tif")
+    assert FrameSequence.open([a[0], b[0]]).names == ("a/frame_0.tif", "b/frame_0.tif")
 
 
 def test_a_folder_with_a_frames_folder_opens_that(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_folder_with_a_frames_folder_opens_that(tmp_path: Path) -> None:
     write(tmp_path / "truth", make_frames(1, shape=(40, 40)))
     (tmp_path / "module.json").write_text('{"rows": 6, "cols": 10, "cell_aspect": 2, "x": 1}')
     for source in (tmp_path, str(tmp_path), tmp_path / "frames"):
-        sequence = Sequence.open(source)
+        sequence = FrameSequence.open(source)
         assert len(sequence) == 3
         assert sequence.layout_hint == {"rows": 6, "cols": 10, "cell_aspect": 2.0}
 
@@ -122,7 +122,7 @@ def test_what_is_no_frame_is_ignored(folder: Path) -> None:
     (folder / ".hidden.tif").write_bytes(b"x")
     (folder / "notes.txt").write_text("x")
     (folder / "folder.tif").mkdir()
-    assert len(Sequence.open(folder)) == 5
+    assert len(FrameSequence.open(folder)) == 5
 
 
 @pytest.mark.parametrize("kind", ["lzw", "big-endian", "inverted", "grey-rgb"])
@@ -137,7 +137,7 @@ def test_other_ways_of_storing_the_same_pixels_read_the_same(tmp_path: Path, kin
         tifffile.imwrite(path, np.invert(frame), photometric="miniswhite")
     else:
         tifffile.imwrite(path, np.dstack([frame] * 3), photometric="rgb")
-    raw = Sequence.open([path]).raw(0)
+    raw = FrameSequence.open([path]).raw(0)
     np.testing.assert_array_equal(raw, frame)
     assert raw.dtype == np.uint16
 
@@ -146,25 +146,27 @@ def test_other_ways_of_storing_the_same_pixels_read_the_same(tmp_path: Path, kin
 
 
 def test_missing_and_empty_sources_are_named(tmp_path: Path) -> None:
-    text = complaint(lambda: Sequence.open(tmp_path / "nowhere"))
+    text = complaint(lambda: FrameSequence.open(tmp_path / "nowhere"))
     assert text == (
         f"{tmp_path / 'nowhere'} does not exist: give a folder of frames, a TIFF with several "
         "pages, or a list of images."
     )
-    text = complaint(lambda: Sequence.open(tmp_path))
+    text = complaint(lambda: FrameSequence.open(tmp_path))
     assert text == f"{tmp_path} holds no TIFF or PNG image: give the folder that the frames are in."
-    text = complaint(lambda: Sequence.open([]))
+    text = complaint(lambda: FrameSequence.open([]))
     assert text == "The list of frames is empty: give at least one TIFF or PNG."
 
 
 def test_files_of_a_list_are_checked(folder: Path) -> None:
-    text = complaint(lambda: Sequence.open([folder / "frame_9.tif"]))
+    text = complaint(lambda: FrameSequence.open([folder / "frame_9.tif"]))
     assert "frame_9.tif is no existing file" in text
     (folder / "notes.txt").write_text("x")
-    text = complaint(lambda: Sequence.open([folder / "notes.txt"]))
+    text = complaint(lambda: FrameSequence.open([folder / "notes.txt"]))
     assert "notes.txt is no TIFF or PNG file" in text
     twice = [folder / "frame_1.tif", folder / "frame_0.tif", folder / "." / "frame_1.tif"]
-    assert "frame_1.tif is in the list of frames twice" in complaint(lambda: Sequence.open(twice))
+    assert "frame_1.tif is in the list of frames twice" in complaint(
+        lambda: FrameSequence.open(twice)
+    )
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
@@ -175,7 +177,7 @@ def test_a_cut_file_is_named(
     path = write(tmp_path, make_frames(3), suffix)[1]
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    text = complaint(lambda: Sequence.open(tmp_path))
+    text = complaint(lambda: FrameSequence.open(tmp_path))
     assert text.startswith(f"frame_1{suffix} can't be read (")
     assert text.endswith("copy it again from the camera or remove it.")
     assert capfd.readouterr() == ("", "")
@@ -197,7 +199,7 @@ def test_a_file_cut_in_its_pixels_or_damaged_is_named(
     else:
         data[3000:3200] = bytes(200)
     path.write_bytes(data)
-    assert complaint(lambda: Sequence.open([path])).startswith("frame.tif can't be read (")
+    assert complaint(lambda: FrameSequence.open([path])).startswith("frame.tif can't be read (")
     assert capfd.readouterr() == ("", "")
 
 
@@ -206,13 +208,13 @@ def test_a_damaged_png_is_named(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[2000] ^= 1
     path.write_bytes(data)
-    assert "(a checksum is wrong)" in complaint(lambda: Sequence.open(path))
+    assert "(a checksum is wrong)" in complaint(lambda: FrameSequence.open(path))
 
 
 def test_the_odd_one_out_is_named_for_its_size(tmp_path: Path) -> None:
     write(tmp_path, make_frames(4))
     tifffile.imwrite(tmp_path / "frame_0.tif", make_frames(1, shape=(80, 128))[0])
-    assert complaint(lambda: Sequence.open(tmp_path)) == (
+    assert complaint(lambda: FrameSequence.open(tmp_path)) == (
         "frame_0.tif is 128 x 80, the sequence is 128 x 96: remove it or load it as its own "
         "sequence."
     )
@@ -221,7 +223,7 @@ def test_the_odd_one_out_is_named_for_its_size(tmp_path: Path) -> None:
 def test_the_odd_one_out_is_named_for_its_type(tmp_path: Path) -> None:
     write(tmp_path, make_frames(4))
     tifffile.imwrite(tmp_path / "frame_2.tif", np.zeros(SHAPE, np.uint8))
-    assert complaint(lambda: Sequence.open(tmp_path)) == (
+    assert complaint(lambda: FrameSequence.open(tmp_path)) == (
         "frame_2.tif has 8 bits, the sequence has 16: remove it or export all frames alike."
     )
 
@@ -235,7 +237,7 @@ def test_colour_is_refused(tmp_path: Path, suffix: str) -> None:
         assert cv2.imwrite(str(path), colour)
     else:
         tifffile.imwrite(path, colour, photometric="rgb")
-    assert complaint(lambda: Sequence.open(tmp_path)) == (
+    assert complaint(lambda: FrameSequence.open(tmp_path)) == (
         f"frame{suffix} is a colour image, but luminescence frames have one grey channel: export "
         "it as grey, without a colour map."
     )
@@ -247,7 +249,7 @@ def test_other_types_are_refused(tmp_path: Path, dtype: str) -> None:
     if dtype == "float32":
         image[3, 3] = np.nan
     tifffile.imwrite(tmp_path / "frame.tif", image)
-    assert complaint(lambda: Sequence.open(tmp_path)) == (
+    assert complaint(lambda: FrameSequence.open(tmp_path)) == (
         f"frame.tif holds {dtype} values, but frames are 8- or 16-bit unsigned: export what the "
         "camera delivered, without scaling."
     )
@@ -255,7 +257,7 @@ def test_other_types_are_refused(tmp_path: Path, dtype: str) -> None:
 
 def test_tiny_frames_are_refused(tmp_path: Path) -> None:
     write(tmp_path, make_frames(2, shape=(20, 100)))
-    assert complaint(lambda: Sequence.open(tmp_path)).startswith(
+    assert complaint(lambda: FrameSequence.open(tmp_path)).startswith(
         "The frames are 100 x 20, too small to show a module"
     )
 
@@ -274,7 +276,7 @@ def test_tiny_frames_are_refused(tmp_path: Path) -> None:
 )
 def test_a_wrong_sidecar_is_named_with_its_key(folder: Path, content: str, expected: str) -> None:
     (folder / "module.json").write_text(content)
-    text = complaint(lambda: Sequence.open(folder))
+    text = complaint(lambda: FrameSequence.open(folder))
     assert str(folder / "module.json") in text
     assert expected in text
 
@@ -284,12 +286,12 @@ def test_a_wrong_sidecar_is_named_with_its_key(folder: Path, content: str, expec
 
 def test_settings_win_over_the_sidecar(folder: Path) -> None:
     (folder / "module.json").write_text(json.dumps({"rows": 6, "cols": 10, "cell_aspect": 2}))
-    layout = Sequence.open(folder).layout(Settings(cols=12))
+    layout = FrameSequence.open(folder).layout(Settings(cols=12))
     assert (layout.rows, layout.cols, layout.cell_aspect) == (6, 12, 2.0)
 
 
 def test_an_unknown_layout_says_how_to_give_it(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     assert sequence.layout_hint == {}
     text = complaint(lambda: sequence.layout(Settings()))
     assert "The number of rows and cols of cells is unknown" in text
@@ -302,7 +304,7 @@ def test_an_unknown_layout_says_how_to_give_it(folder: Path) -> None:
 
 
 def test_intensities_are_black_subtracted_with_full_scale_one(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     frame = sequence.frame(0)
     assert (sequence.bit_depth, sequence.full_scale) == (12, 4095.0)
     assert sequence.black_level == pytest.approx(64.0, abs=4.0)
@@ -317,8 +319,8 @@ def test_fixed_column_offsets_are_subtracted(tmp_path: Path) -> None:
     frames = make_frames(8, shape=(192, 128))
     write(tmp_path / "clean", frames)
     write(tmp_path / "streaked", [frame + columns for frame in frames])
-    clean = Sequence.open(tmp_path / "clean").frame(4).image
-    streaked = Sequence.open(tmp_path / "streaked").frame(4).image
+    clean = FrameSequence.open(tmp_path / "clean").frame(4).image
+    streaked = FrameSequence.open(tmp_path / "streaked").frame(4).image
     left = np.diff((streaked - clean).mean(axis=0)).std()
     assert left < 0.1 * np.diff(columns.astype(float)).std() / 4031
 
@@ -327,7 +329,7 @@ def test_saturated_pixels_are_invalid_and_keep_their_value(tmp_path: Path) -> No
     frames = make_frames(4)
     frames[2][40:50, 60:70] = 4095
     write(tmp_path, frames)
-    sequence = Sequence.open(tmp_path)
+    sequence = FrameSequence.open(tmp_path)
     frame = sequence.frame(2)
     np.testing.assert_array_equal(frame.valid, frames[2] < 4095)
     np.testing.assert_allclose(frame.image[40:50, 60:70], 1.0, atol=1e-6)
@@ -340,7 +342,7 @@ def test_hot_and_dead_pixels_are_invalid_and_filled(tmp_path: Path) -> None:
     for f in frames:
         f[48, 64], f[10, 10], f[40, 70] = 0, 4095, 3000
     write(tmp_path, frames)
-    sequence = Sequence.open(tmp_path)
+    sequence = FrameSequence.open(tmp_path)
     frame = sequence.frame(3)
     assert sorted(map(tuple, np.argwhere(~frame.valid).tolist())) == [(10, 10), (40, 70), (48, 64)]
     truth = (clean[3] - sequence.black_level) / (4095.0 - sequence.black_level)
@@ -360,7 +362,7 @@ def test_a_dark_frame_is_subtracted_per_pixel_and_its_hot_pixels_are_flagged(
         f[20, 30] = 3950
     write(tmp_path / "sequence", frames)
     tifffile.imwrite(tmp_path / "dark.tif", dark)
-    sequence = Sequence.open(tmp_path / "sequence", dark_frame=tmp_path / "dark.tif")
+    sequence = FrameSequence.open(tmp_path / "sequence", dark_frame=tmp_path / "dark.tif")
     frame = sequence.frame(0)
     assert not frame.valid[20, 30]
     background = np.delete(frame.image[:15].ravel(), 0)
@@ -370,12 +372,12 @@ def test_a_dark_frame_is_subtracted_per_pixel_and_its_hot_pixels_are_flagged(
 
 def test_a_wrong_dark_frame_is_refused(folder: Path, tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "small.tif", np.zeros((96, 100), np.uint16))
-    text = complaint(lambda: Sequence.open(folder, dark_frame=tmp_path / "small.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, dark_frame=tmp_path / "small.tif"))
     assert "small.tif is 100 x 96 with 16 bits, the sequence is 128 x 96 with 16" in text
     tifffile.imwrite(tmp_path / "bright.tif", np.full(SHAPE, 3000, np.uint16))
-    text = complaint(lambda: Sequence.open(folder, dark_frame=tmp_path / "bright.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, dark_frame=tmp_path / "bright.tif"))
     assert "bright.tif has a median of 3000 DN and is brighter than the frames" in text
-    text = complaint(lambda: Sequence.open(folder, dark_frame=tmp_path / "none.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, dark_frame=tmp_path / "none.tif"))
     assert "none.tif is no existing file" in text
 
 
@@ -391,8 +393,8 @@ def test_a_flat_frame_takes_the_fall_off_out_of_the_frames(tmp_path: Path) -> No
     flat = np.rint(64 + 3000 * response).astype(np.uint16)
     flat[30, 40] = 64
     tifffile.imwrite(tmp_path / "flat.tif", flat)
-    even = Sequence.open(tmp_path / "even", tmp_path / "dark.tif").frame(1)
-    found = Sequence.open(
+    even = FrameSequence.open(tmp_path / "even", tmp_path / "dark.tif").frame(1)
+    found = FrameSequence.open(
         tmp_path / "falling", tmp_path / "dark.tif", flat_frame=tmp_path / "flat.tif"
     ).frame(1)
     assert not found.valid[30, 40]
@@ -405,21 +407,21 @@ def test_a_flat_frame_takes_the_fall_off_out_of_the_frames(tmp_path: Path) -> No
 
 def test_a_wrong_flat_frame_is_refused(folder: Path, tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "small.tif", np.full((96, 100), 2000, np.uint16))
-    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "small.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, flat_frame=tmp_path / "small.tif"))
     assert "The flat frame" in text
     assert "small.tif is 100 x 96 with 16 bits, the sequence is 128 x 96 with 16" in text
     tifffile.imwrite(tmp_path / "black.tif", np.zeros(SHAPE, np.uint16))
-    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "black.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, flat_frame=tmp_path / "black.tif"))
     assert "black.tif is too dark" in text
     assert "take an evenly bright surface" in text
-    text = complaint(lambda: Sequence.open(folder, flat_frame=tmp_path / "none.tif"))
+    text = complaint(lambda: FrameSequence.open(folder, flat_frame=tmp_path / "none.tif"))
     assert "none.tif is no existing file" in text
 
 
 @pytest.mark.parametrize("value", [0, 17, 255])
 def test_uniform_frames_open(tmp_path: Path, value: int) -> None:
     cv2.imwrite(str(tmp_path / "frame.png"), np.full(SHAPE, value, np.uint8))
-    sequence = Sequence.open(tmp_path)
+    sequence = FrameSequence.open(tmp_path)
     frame = sequence.frame(0)
     assert np.isfinite(frame.image).all()
     assert frame.valid.all() == (value < 255)
@@ -430,7 +432,7 @@ def test_uniform_frames_open(tmp_path: Path, value: int) -> None:
 
 
 def test_a_frame_is_read_when_asked_for_and_a_lost_file_is_named(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     (folder / "frame_3.tif").unlink()
     sequence.frame(2)
     assert complaint(lambda: sequence.frame(3)) == (
@@ -439,7 +441,7 @@ def test_a_frame_is_read_when_asked_for_and_a_lost_file_is_named(folder: Path) -
 
 
 def test_frames_are_cached_and_read_only(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     frame = sequence.frame(1)
     assert sequence.frame(1) is frame
     assert sequence.frame(-4) is frame
@@ -450,7 +452,7 @@ def test_frames_are_cached_and_read_only(folder: Path) -> None:
 
 
 def test_it_pickles_without_frames(folder: Path) -> None:
-    sequence = Sequence.open(folder)
+    sequence = FrameSequence.open(folder)
     empty = len(pickle.dumps(sequence))
     for i in range(len(sequence)):
         sequence.frame(i)
@@ -464,7 +466,7 @@ def test_it_pickles_without_frames(folder: Path) -> None:
 def test_threads_read_the_same_frames(tmp_path: Path) -> None:
     frames = make_frames(6)
     tifffile.imwrite(tmp_path / "stack.tif", np.stack(frames), photometric="minisblack")
-    sequence = Sequence.open(tmp_path / "stack.tif")
+    sequence = FrameSequence.open(tmp_path / "stack.tif")
     wrong: list[int] = []
 
     def read(seed: int) -> None:
@@ -485,7 +487,7 @@ def test_threads_read_the_same_frames(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["D1", "D2", "D6", "E1"])
 def test_simulated_sequences_open_with_what_the_camera_is(name: str) -> None:
     truth = json.loads((DATA / name / "truth" / "truth.json").read_text())["noise"]
-    sequence = Sequence.open(DATA / name)
+    sequence = FrameSequence.open(DATA / name)
     assert len(sequence) == 20
     assert (sequence.bit_depth, sequence.full_scale) == (12, 4095.0)
     # Ambient light lies on top of black: all that the frames can tell is an upper bound.

@@ -27,7 +27,7 @@ from napari_pv_inspect.widgets.shortcuts import Key
 from napari_pv_inspect.widgets.style import Dress
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import grey
 from pv_inspect.review import Cell
 

@@ -40,9 +40,9 @@ from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import CalmWheel, Dress, finish_typing
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import Result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
 __all__ = ["InspectDock"]
@@ -165,7 +165,7 @@ class InspectDock(QWidget):
         if self.bench.model.inspection is not None:
             self.bench.saver.save(self.bench.model.inspection, folder)
 
-    def _on_sequence(self, sequence: Sequence | None) -> None:
+    def _on_sequence(self, sequence: FrameSequence | None) -> None:
         if sequence is None:
             self._tell("Nothing is open.", "", "")
             return

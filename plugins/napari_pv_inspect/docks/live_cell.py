@@ -23,13 +23,13 @@ from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.docks.side_box import SideBox
 from napari_pv_inspect.docks.trial_list import TrialList
 from napari_pv_inspect.live.cell import Source
-from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.shortcuts import Key
 from napari_pv_inspect.widgets.style import Dress
 from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.workbench import Workbench
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import Result
 
 __all__ = ["LiveDock"]

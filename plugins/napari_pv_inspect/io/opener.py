@@ -16,10 +16,10 @@ from napari_pv_inspect import reader
 from napari_pv_inspect.layers.layer_data import open_sequence
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import Result, read_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import read_steadily
 
@@ -36,7 +36,7 @@ class Opened:
 
     Parameters
     ----------
-    sequence : Sequence or None
+    sequence : FrameSequence or None
     inspection : Inspection or None
         Of a result folder whose frames are still there.
     result : Result or None
@@ -49,7 +49,7 @@ class Opened:
         The same frames as before, read in another way.
     """
 
-    sequence: Sequence | None = None
+    sequence: FrameSequence | None = None
     inspection: Inspection | None = None
     result: Result | None = None
     references: References = (None, None)
@@ -77,7 +77,7 @@ def open_result(result: Result) -> Opened:
     return Opened(sequence, inspection, result, references)
 
 
-def open_again(sequence: Sequence, settings: Settings) -> Opened:
+def open_again(sequence: FrameSequence, settings: Settings) -> Opened:
     """Read the same frames with other reference images."""
     references = (settings.dark_frame, settings.flat_frame)
     given = sequence.opened_from or sequence.source
@@ -188,7 +188,7 @@ class Opener(QObject):
         elif opened.sequence is not None:
             model.open(opened.sequence)
 
-    def _on_sequence(self, _: Sequence | None) -> None:
+    def _on_sequence(self, _: FrameSequence | None) -> None:
         if self._putting is None:
             # Somebody else was faster.
             if self._name:

@@ -11,7 +11,7 @@ from qtpy.QtCore import QObject, QThreadPool
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import write_result
 
 __all__ = ["Saver"]

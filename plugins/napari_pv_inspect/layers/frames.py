@@ -13,9 +13,9 @@ from napari_pv_inspect.appearance import FRAMES
 from napari_pv_inspect.layers.layer_data import SEQUENCE_KEY, sequence_layer
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.pipeline import Inspection
-from pv_inspect.reports.figures import REGISTRATION_RESIDUAL, RESIDUAL
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.figures import REGISTRATION_RESIDUAL, RESIDUAL
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["FramesLayer", "frame_caption"]
 
@@ -39,7 +39,7 @@ class FramesLayer:
     def adopt(self, layer: Layer) -> bool:
         """Make a layer of the reader the frames layer; False if it carries no sequence."""
         sequence = layer.metadata.get(SEQUENCE_KEY)
-        if not isinstance(sequence, Sequence) or layer is self._slot.layer:
+        if not isinstance(sequence, FrameSequence) or layer is self._slot.layer:
             return False
         if (earlier := self._slot.layer) is not None:
             self._slot.drop()
@@ -69,7 +69,7 @@ class FramesLayer:
         if self._slot.layer is None:
             self._on_sequence(self._model.sequence)
 
-    def _on_sequence(self, sequence: Sequence | None) -> None:
+    def _on_sequence(self, sequence: FrameSequence | None) -> None:
         layer = self._slot.layer
         if layer is None or layer.metadata.get(SEQUENCE_KEY) is not sequence:
             # It would hold on to its frames, and stretch the time slider.
@@ -103,7 +103,7 @@ class FramesLayer:
         overlay.visible = bool(text)
 
 
-def frame_caption(sequence: Sequence, inspection: Inspection | None, frame: int) -> str:
+def frame_caption(sequence: FrameSequence, inspection: Inspection | None, frame: int) -> str:
     """Return name, fit and fate of one frame in a line."""
     name = sequence.names[frame]
     if inspection is None or inspection.calibration is None:

@@ -11,8 +11,8 @@ from napari_pv_inspect import appearance as look
 from napari_pv_inspect.layers.overlays import grid_of_frames
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["GeometryLayers"]
 
@@ -60,7 +60,7 @@ class GeometryLayers:
         if self._grid_slot.layer is None:
             self._draw_grid()
 
-    def _on_sequence(self, _: Sequence | None) -> None:
+    def _on_sequence(self, _: FrameSequence | None) -> None:
         self._geometry = None
         self._grid, self._bent = [], {}
         self._grid_slot.drop()

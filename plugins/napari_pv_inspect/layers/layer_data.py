@@ -21,26 +21,25 @@ from napari_pv_inspect.appearance import (
     contrast_limits,
     crack_colormap,
 )
-from napari_pv_inspect.reader import LayerData
-from pv_inspect.cells import CellTiles
-from pv_inspect.cracks import CrackMap
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.results.write import Result, read_result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [
     "PART_KEY",
     "RESULT_KEY",
     "SEQUENCE_KEY",
+    "LayerData",
     "lazy_stack",
     "open_sequence",
-    "result_cells",
     "result_layers",
     "sequence_layer",
 ]
 
+LayerData = tuple[Any, dict[str, Any], str]
+
 # Under these keys of its metadata a layer carries what it shows; the workbench adopts such layers.
-SEQUENCE_KEY = "pv_inspect.sequence.sequence"
+SEQUENCE_KEY = "pv_inspect.sequence"
 RESULT_KEY = "pv_inspect.result"
 PART_KEY = "pv_inspect.part"
 
@@ -50,7 +49,7 @@ def open_sequence(
     dark_frame: Path | None = None,
     flat_frame: Path | None = None,
     limits: ReadLimits | None = None,
-) -> Sequence:
+) -> FrameSequence:
     """Open one path, or a list of frames, with the reference images of the camera if given.
 
     Raises
@@ -59,10 +58,10 @@ def open_sequence(
         If the frames are no usable sequence.
     """
     given = path if isinstance(path, (str, Path)) else [Path(p) for p in path]
-    return Sequence.open(given, dark_frame, flat_frame, limits)
+    return FrameSequence.open(given, dark_frame, flat_frame, limits)
 
 
-def lazy_stack(sequence: Sequence) -> da.Array:
+def lazy_stack(sequence: FrameSequence) -> da.Array:
     """Frames (n_frames, height, width) float32, full scale = 1, each read when looked at."""
     frames = [
         da.from_delayed(dask.delayed(_frame)(sequence, i), sequence.shape, np.float32)
@@ -71,7 +70,7 @@ def lazy_stack(sequence: Sequence) -> da.Array:
     return da.stack(frames)
 
 
-def sequence_layer(sequence: Sequence) -> LayerData:
+def sequence_layer(sequence: FrameSequence) -> LayerData:
     """Return the lazy stack as a napari layer; only its first frame is read now."""
     attributes = {
         "name": FRAMES,
@@ -122,16 +121,5 @@ def result_layers(folder: Path) -> list[LayerData]:
     ]
 
 
-def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
-    """Return cell tiles and crack map of a result folder, for the gallery."""
-    grid, layout = result.grid, result.grid.layout
-
-    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
-        rows, cols = range(layout.rows), range(layout.cols)
-        return np.array([[whole[grid.cell_slices(i, j)] for j in cols] for i in rows], np.float32)
-
-    return CellTiles(cut(result.image), grid, cut(result.support)), result.crack_map
-
-
-def _frame(sequence: Sequence, index: int) -> NDArray[np.float32]:
+def _frame(sequence: FrameSequence, index: int) -> NDArray[np.float32]:
     return sequence.frame(index).image

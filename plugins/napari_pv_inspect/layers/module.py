@@ -15,9 +15,9 @@ from napari_pv_inspect.layers.placement import Placement, module_placement
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import Result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["ModuleLayers"]
@@ -95,7 +95,7 @@ class ModuleLayers:
         self._cracks.veil()
         self._know_cracks(None)
 
-    def _on_sequence(self, _: Sequence | None) -> None:
+    def _on_sequence(self, _: FrameSequence | None) -> None:
         self._clear()
 
     def _clear(self) -> None:

@@ -12,7 +12,7 @@ from napari_pv_inspect.coordinates import in_frame, segments_in_frame
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = [
     "EDITED",

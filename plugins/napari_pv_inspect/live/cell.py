@@ -11,7 +11,6 @@ from qtpy.QtCore import QObject, Qt, QTimer, Signal
 from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.live.cell_renderer import (
-    CellPicture,
     CellRenderer,
     basis_of,
     bicubic_cell,
@@ -19,11 +18,12 @@ from napari_pv_inspect.live.cell_renderer import (
     run_cell,
     same_basis,
 )
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import LIVE_FIELDS, Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.tasks.newest_request import Job, NewestWins
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
 __all__ = ["LiveCell", "Source"]

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.preview import Preview, Region, bent
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.reconstruct import bicubic
@@ -19,7 +19,6 @@ from pv_inspect.registration.register import Registration
 from pv_inspect.settings import Settings
 
 __all__ = [
-    "CellPicture",
     "CellRenderer",
     "basis_of",
     "best_frame",
@@ -31,8 +30,6 @@ __all__ = [
     "same_basis",
 ]
 
-Image = NDArray[np.float32]
-Cell = tuple[int, int]
 
 # Solver steps to the first picture: by then it differs from its end by a percent or so.
 FIRST_STEPS = 12
@@ -40,30 +37,6 @@ FIRST_STEPS = 12
 HURRIED_STEPS = 4
 # Seconds between the pictures that follow while it gets better.
 BETWEEN = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class CellPicture:
-    """A cell as it looks in some way.
-
-    Attributes
-    ----------
-    image : (height, width) float32
-        Without margin, full scale = 1.
-    cell : (row, col)
-    caption : str
-        What was used, for a person.
-    settings : Settings or None
-        None: not reconstructed for these settings (bicubic).
-    finished : bool
-        False: an early picture that will be replaced.
-    """
-
-    image: Image
-    cell: Cell
-    caption: str
-    settings: Settings | None = None
-    finished: bool = True
 
 
 class CellRenderer:

@@ -21,7 +21,7 @@ from pv_inspect.calibration.calibrate import Calibration, calibrate, refit_frame
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
 __all__ = ["BentFrame", "LiveKappa", "bend_frame"]

@@ -14,7 +14,7 @@ from napari_pv_inspect.tasks.newest_answer import NewestAnswer
 from pv_inspect.calibration.calibrate import Calibration, residual_over_kappa
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = ["Curve", "KappaCurve"]
 

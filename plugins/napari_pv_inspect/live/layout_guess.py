@@ -7,7 +7,7 @@ from napari.qt.threading import create_worker
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["LayoutGuesser"]
@@ -18,7 +18,7 @@ class LayoutGuesser:
 
     def __init__(self, model: WorkbenchModel) -> None:
         self._model = model
-        self._asked: tuple[Sequence, tuple[float, float] | None] | None = None
+        self._asked: tuple[FrameSequence, tuple[float, float] | None] | None = None
         model.sequence_changed.connect(self._on_sequence)
         model.settings_changed.connect(self._on_settings)
 
@@ -28,7 +28,7 @@ class LayoutGuesser:
         self._model.settings_changed.disconnect(self._on_settings)
         self._asked = None
 
-    def _on_sequence(self, sequence: Sequence | None) -> None:
+    def _on_sequence(self, sequence: FrameSequence | None) -> None:
         self._model.guessing = False
         self._asked = None
         if sequence is not None and not is_known(sequence, self._model.settings):
@@ -42,7 +42,7 @@ class LayoutGuesser:
             unknown = settings.changed(rows=None, cols=None, cell_aspect=None)
             self._guess(self._asked[0], unknown)
 
-    def _guess(self, sequence: Sequence, settings: Settings) -> None:
+    def _guess(self, sequence: FrameSequence, settings: Settings) -> None:
         asked = self._asked = (sequence, settings.module_at)
         self._model.guessing = True
 
@@ -55,7 +55,7 @@ class LayoutGuesser:
         worker.start()
 
 
-def _guess_or_none(sequence: Sequence, settings: Settings) -> LayoutGuess | None:
+def _guess_or_none(sequence: FrameSequence, settings: Settings) -> LayoutGuess | None:
     try:
         return guess_layout(sequence, settings, settings.module_at)
     except InspectionError:

@@ -9,7 +9,7 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.newest_answer import NewestAnswer
 from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = ["Recalibration"]
 

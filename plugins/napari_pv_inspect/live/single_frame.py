@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.observation.motion_blur import motion_of
-from pv_inspect.pipeline import Inspection
 from pv_inspect.reconstruction.reconstruct import bicubic
 from pv_inspect.registration.register import Registration
 from pv_inspect.review import Cell

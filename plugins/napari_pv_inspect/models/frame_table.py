@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pv_inspect.pipeline import Inspection
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["FrameRow", "frame_rows", "ticked"]
@@ -42,7 +42,7 @@ class FrameRow:
 
 
 def frame_rows(
-    sequence: Sequence | None, inspection: Inspection | None, settings: Settings
+    sequence: FrameSequence | None, inspection: Inspection | None, settings: Settings
 ) -> tuple[FrameRow, ...]:
     """Return one row for every frame of the sequence."""
     if sequence is None:

@@ -15,7 +15,7 @@ from napari_pv_inspect.models.point_edits import Place, Point, PointEdits
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from pv_inspect.calibration.calibrate import Calibration, refit_frame
 from pv_inspect.detection.crossings import Crossings
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = ["PointEditor"]
 

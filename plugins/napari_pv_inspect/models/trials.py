@@ -7,10 +7,10 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.history import Action, History
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["IMAGE_FIELDS", "LIVE_FIELDS", "Trial", "Tuning", "what_differs"]
@@ -186,7 +186,7 @@ class Tuning:
             self.previous = by_number.get(self.previous.number, self.previous)
         self.changed.emit()
 
-    def _on_sequence(self, _: Sequence | None) -> None:
+    def _on_sequence(self, _: FrameSequence | None) -> None:
         self._settled = _part(self._model.settings, UNDONE_FIELDS)
         self._rests_at = _part(self._model.settings, LIVE_FIELDS)
         self.trials, self.current, self.previous, self._newest = (), None, None, None

@@ -15,9 +15,9 @@ from psygnal import Signal
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.pipeline import Inspection, Step
+from pv_inspect.inspection.inspection import Inspection, Step
 from pv_inspect.results.write import Result
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Failure", "RunState", "WorkbenchModel"]
@@ -47,7 +47,7 @@ class WorkbenchModel:
 
     Attributes
     ----------
-    sequence : Sequence or None
+    sequence : FrameSequence or None
     settings : Settings
         What the controls say; the next run uses it.
     result : Result or None
@@ -85,7 +85,7 @@ class WorkbenchModel:
     cell_selected = Signal(object)
 
     def __init__(self) -> None:
-        self.sequence: Sequence | None = None
+        self.sequence: FrameSequence | None = None
         self.settings = self.run_settings = Settings()
         self.inspection: Inspection | None = None
         self.draft: Inspection | None = None
@@ -139,7 +139,7 @@ class WorkbenchModel:
             f"{layout.rows} x {layout.cols} is put away: set rows and columns back to see it again."
         )
 
-    def open(self, sequence: Sequence) -> None:
+    def open(self, sequence: FrameSequence) -> None:
         """Put another sequence on the bench; settings about the module come from its sidecar."""
         hint = {
             k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
@@ -148,7 +148,7 @@ class WorkbenchModel:
         frames = {"keep_frames": (), "skip_frames": ()}
         self._put(sequence, self.settings.changed(**{**unknown, **frames, **hint}))
 
-    def reopen(self, sequence: Sequence) -> None:
+    def reopen(self, sequence: FrameSequence) -> None:
         """Put the same frames on the bench, read in another way; the settings stay."""
         guess = self.guess
         self._put(sequence, self.settings)
@@ -163,7 +163,7 @@ class WorkbenchModel:
         self.inspection = replace(inspection, settings=settings)
         self.inspection_changed.emit(self.inspection)
 
-    def _put(self, sequence: Sequence | None, settings: Settings) -> None:
+    def _put(self, sequence: FrameSequence | None, settings: Settings) -> None:
         self.sequence = sequence
         self.guess = None
         self.inspection = self.draft = self.result = None
@@ -176,12 +176,12 @@ class WorkbenchModel:
         self.settings_changed.emit(settings)
         self.inspection_changed.emit(None)
 
-    def offer_layout(self, sequence: Sequence, guess: LayoutGuess | None) -> None:
+    def offer_layout(self, sequence: FrameSequence, guess: LayoutGuess | None) -> None:
         """Take a guess over into the settings, unless a person was faster.
 
         Parameters
         ----------
-        sequence : Sequence
+        sequence : FrameSequence
             What was guessed from; another one on the bench by now makes the guess void.
         guess : LayoutGuess or None
             None: the frames do not tell.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Stage
 
 __all__ = ["REVIEW", "Deed", "NextStep", "Status", "StepView", "next_step", "steps_of"]

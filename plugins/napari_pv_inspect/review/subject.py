@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from napari_pv_inspect.layers.layer_data import result_cells
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import (
     CellFeatures,
@@ -17,7 +16,7 @@ from pv_inspect.cracks import (
     detector_of,
 )
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import Result
 from pv_inspect.review import Cell, Measure, measured
 from pv_inspect.settings import Settings
@@ -118,3 +117,14 @@ class Subject:
             self.settings.cell_width_mm,
             detector_of(self.settings),
         )
+
+
+def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
+    """Return cell tiles and crack map of a result folder, for the gallery."""
+    grid, layout = result.grid, result.grid.layout
+
+    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
+        rows, cols = range(layout.rows), range(layout.cols)
+        return np.array([[whole[grid.cell_slices(i, j)] for j in cols] for i in rows], np.float32)
+
+    return CellTiles(cut(result.image), grid, cut(result.support)), result.crack_map

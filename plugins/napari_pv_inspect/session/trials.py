@@ -7,7 +7,7 @@ from pathlib import Path
 
 from qtpy.QtCore import QObject, QTimer, Signal
 
-from napari_pv_inspect.live.cell_renderer import CellPicture
+from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError

@@ -14,8 +14,8 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.memory import release
 from pv_inspect import pipeline
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection, Step
-from pv_inspect.sequence.sequence import Sequence
+from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Outcome", "RunController"]
@@ -32,7 +32,7 @@ class Outcome:
 
 
 def guarded(
-    sequence: Sequence, settings: Settings, start: Inspection | None, until: Stage | None
+    sequence: FrameSequence, settings: Settings, start: Inspection | None, until: Stage | None
 ) -> Generator[Step, None, Outcome]:
     """Yield the steps of the pipeline and return an Outcome, whatever happens.
 
@@ -41,7 +41,7 @@ def guarded(
     until : Stage, optional
         Stop when this stage has brought its part.
     """
-    steps = pipeline.inspect(sequence, settings, start)
+    steps = pipeline.inspect_steps(sequence, settings, start)
     try:
         while True:
             try:
@@ -182,7 +182,7 @@ class RunController(QObject):
         # One that waits for another to stop never began.
         self._leaving = self._leaving or worker
 
-    def _on_sequence(self, _: Sequence | None) -> None:
+    def _on_sequence(self, _: FrameSequence | None) -> None:
         self._abandon()
 
     def _on_step(self, step: Step) -> None:

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cracks.classes import CRACK
 from pv_inspect.cracks.network import CELL_PX, normalised
-from pv_inspect.cracks.training.labelled import CRACK
 
 __all__ = ["Augmentation", "prepared"]
 

@@ -10,21 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cracks.classes import CLASSES, CRACK
 from pv_inspect.errors import InspectionError
 
 __all__ = [
-    "BUSBAR",
-    "CLASSES",
-    "CRACK",
     "LabelledCell",
     "module_of",
     "read_labelled",
     "split_modules",
 ]
 
-# Order of the classes in label images and of the channels of the network.
-CLASSES = ("background", "dark", "cross", "crack", "busbar")
-CRACK, BUSBAR = CLASSES.index("crack"), CLASSES.index("busbar")
 _IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 
 

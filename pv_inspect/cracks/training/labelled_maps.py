@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cracks.classes import CRACK
 from pv_inspect.cracks.features import OperatingPoint, crack_marks
 from pv_inspect.cracks.training.augmentation import Augmentation, prepared
-from pv_inspect.cracks.training.labelled import CRACK, LabelledCell
+from pv_inspect.cracks.training.labelled import LabelledCell
 from pv_inspect.cracks.training.scores import pixel_score
 
 if TYPE_CHECKING:

@@ -40,15 +40,10 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
+from pv_inspect.cracks.classes import CLASSES, CRACK
 from pv_inspect.cracks.network import CELL_PX, NetworkDetector, normalised
 from pv_inspect.cracks.training.augmentation import Augmentation, prepared
-from pv_inspect.cracks.training.labelled import (
-    CLASSES,
-    CRACK,
-    LabelledCell,
-    read_labelled,
-    split_modules,
-)
+from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled, split_modules
 from pv_inspect.cracks.training.labelled_maps import as_they_are, degraded, operating_point
 from pv_inspect.cracks.training.reliability import fit_calibration
 from pv_inspect.cracks.training.scores import pixel_score

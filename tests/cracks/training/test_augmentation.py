@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from pv_inspect.cracks.classes import CRACK
 from pv_inspect.cracks.network import CELL_PX, normalised
 from pv_inspect.cracks.training.augmentation import Augmentation, prepared
-from pv_inspect.cracks.training.labelled import CRACK
 
 
 def cell() -> tuple[np.ndarray, np.ndarray]:

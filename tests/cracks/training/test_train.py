@@ -12,7 +12,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: only training needs it")
 
 from pv_inspect.cracks import NetworkDetector  # noqa: E402
-from pv_inspect.cracks.training.labelled import CRACK, LabelledCell  # noqa: E402
+from pv_inspect.cracks.classes import CRACK  # noqa: E402
+from pv_inspect.cracks.training.labelled import LabelledCell  # noqa: E402
 from pv_inspect.cracks.training.train import (  # noqa: E402
     CrackNet,
     Recipe,

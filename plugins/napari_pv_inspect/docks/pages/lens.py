@@ -24,7 +24,7 @@ from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.slider import SettingSlider, setting_tooltip
 from pv_inspect.calibration.camera_file import read_camera, write_camera
 from pv_inspect.errors import InspectionError
-from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
 __all__ = ["LensBox"]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import numpy as np
 
-from pv_inspect.detection.orientation import quarter_turn_sentence
-from pv_inspect.reports.figures import known_median
+from pv_inspect.detection.orientation import runs_down
+from pv_inspect.detection.outline import Pose
+from pv_inspect.inspection.figures import known_median
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.registration.register import Registration
 from pv_inspect.sequence.copies import copies_sentence
 
-if TYPE_CHECKING:
-    from pv_inspect.pipeline import Inspection
-
-__all__ = ["CONTRADICTION", "doubts_of", "left_out", "warnings_of"]
+__all__ = ["CONTRADICTION", "doubts_of", "left_out", "quarter_turn_sentence", "warnings_of"]
 
 CONTRADICTION = 2.5
 """Median residual of the frames, in units of their noise, from which on a result is in doubt.
@@ -103,6 +103,32 @@ def left_out(inspection: Inspection) -> tuple[str, ...]:
         f"{name} is not used: {(why or 'not used').rstrip('.')}."
         for k, (name, ok, why) in enumerate(frames)
         if not ok and k not in sequence.copies
+    )
+
+
+def quarter_turn_sentence(registration: Registration) -> str:
+    """Say if the rows of the module run down the frames, as when rows and columns are swapped.
+
+    Parameters
+    ----------
+    registration : Registration
+
+    Returns
+    -------
+    str
+        Empty if the rows run across in most frames, or the module looks the same either way.
+    """
+    layout, used = registration.layout, np.flatnonzero(registration.used)
+    if layout.rows == layout.cols or not len(used):
+        return ""
+    poses = [Pose(registration.camera, registration.homographies[i]) for i in used]
+    if not runs_down(layout, poses):
+        return ""
+    aspect = f" --cell-aspect {1 / layout.cell_aspect:g}" if layout.cell_aspect != 1 else ""
+    return (
+        f"The frames show the module with {layout.cols} rows and {layout.rows} columns, turned by "
+        "a quarter from the given ones: if rows and columns were swapped, give --rows "
+        f"{layout.cols} --cols {layout.rows}{aspect}."
     )
 
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from pv_inspect.notebook.progress_bar import NotebookBar, in_notebook
-from pv_inspect.pipeline import Inspection, Step, run_to_end
+from pv_inspect import pipeline
+from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.progress.notebook_bar import NotebookBar, in_notebook
 from pv_inspect.settings import Stage
 from tests.handmade import made_inspection
 
@@ -63,14 +64,16 @@ def test_a_script_is_told_nothing(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
-    assert run_to_end(steps()).complete
+    monkeypatch.setattr(pipeline, "inspect_steps", lambda *_: steps())
+    assert pipeline.inspect(made_inspection().sequence).complete
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_notebook_has_one_bar_that_ends_full(
-    kernel: FakeIPython, capfd: pytest.CaptureFixture[str]
+    kernel: FakeIPython, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert run_to_end(steps()).complete
+    monkeypatch.setattr(pipeline, "inspect_steps", lambda *_: steps())
+    assert pipeline.inspect(made_inspection().sequence).complete
     (data,) = kernel.shown
     assert 'value="1.000" max="1"' in data["text/html"]
     assert data["text/plain"].startswith("100 %  found in <3> frames (")
@@ -78,20 +81,23 @@ def test_a_notebook_has_one_bar_that_ends_full(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_run_that_fails_leaves_the_bar_where_it_was(kernel: FakeIPython) -> None:
+def test_a_run_that_fails_leaves_the_bar_where_it_was(
+    kernel: FakeIPython, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def failing() -> Generator[Step, None, Inspection]:
         yield Step(Stage.LOAD, 0.25, "3 frames")
         raise ValueError("no more")
 
+    monkeypatch.setattr(pipeline, "inspect_steps", lambda *_: failing())
     with pytest.raises(ValueError, match="no more"):
-        run_to_end(failing())
+        pipeline.inspect(made_inspection().sequence)
     assert kernel.shown[-1]["text/plain"] == " 25 %  3 frames"
 
 
 def test_the_bar_is_not_drawn_more_often_than_an_eye_can_follow(
     kernel: FakeIPython, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pv_inspect.notebook.progress_bar.perf_counter", lambda: 5.0)
+    monkeypatch.setattr("pv_inspect.progress.notebook_bar.perf_counter", lambda: 5.0)
     bar = NotebookBar()
     bar.update(0.1, "first")
     bar.update(0.2, "at the same moment")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from pv_inspect.cracks import CellFeatures, CrackMap
-from pv_inspect.doubts import CONTRADICTION, OVER_FIT, doubts_of, warnings_of
-from pv_inspect.summary import summary
+from pv_inspect.inspection.doubts import CONTRADICTION, OVER_FIT, doubts_of, warnings_of
+from pv_inspect.inspection.summary import summary
 from tests.handmade import made_inspection, made_reconstruction
 
 

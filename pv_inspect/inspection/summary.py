@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pv_inspect.doubts import left_out
 from pv_inspect.errors import printable
-from pv_inspect.reports.figures import RESIDUAL_MEANING, median_text
-
-if TYPE_CHECKING:
-    from pv_inspect.pipeline import Inspection
+from pv_inspect.inspection.doubts import left_out
+from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = ["summary"]
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pv_inspect.doubts import left_out
-from pv_inspect.summary import summary
+from pv_inspect.inspection.doubts import left_out
+from pv_inspect.inspection.summary import summary
 from tests.handmade import made_inspection
 
 

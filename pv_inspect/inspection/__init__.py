@@ -1,0 +1,1 @@
+"""One inspection: its stages and parts, and what is said of it."""
