@@ -46,7 +46,8 @@ from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled, spl
 from pv_inspect.cracks.training.labelled_maps import alarms, as_they_are, degraded
 from pv_inspect.cracks.training.reliability import reliability
 from pv_inspect.cracks.training.scores import coarse_score, pixel_score, roc_auc
-from pv_inspect.results.write import Result, read_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.settings import Settings
 

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.pipeline import inspect_steps
 from pv_inspect.progress.follow import follow
-from pv_inspect.reconstruction.reconstruct import bicubic
+from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.results.write import check_writable, write_result
 from pv_inspect.sequence.sequence import FrameSequence
 

@@ -46,9 +46,12 @@ from pv_inspect.common.work import result_of
 from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.registration.homography import register_by_homography
-from pv_inspect.registration.register import Registration, module_mean, register
+from pv_inspect.registration.module_mean import module_mean
+from pv_inspect.registration.register import register
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated

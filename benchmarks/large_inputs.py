@@ -24,7 +24,8 @@ from pathlib import Path
 
 import tifffile
 
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.memory import expected_grid, needed_bytes
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence

@@ -40,8 +40,11 @@ from pv_inspect.common.work import result_of
 from pv_inspect.detection.detect import detect
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.reconstruction.preview import Preview, Region
-from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
-from pv_inspect.registration.register import Registration, register
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.registration.register import register
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence

@@ -25,9 +25,12 @@ import tifffile
 
 from pv_inspect.common.work import result_of
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
-from pv_inspect.registration.register import Registration
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 

@@ -32,8 +32,9 @@ import numpy as np
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.folder import reserve_result
+from pv_inspect.results.read import read_result
 from pv_inspect.results.resume import reopen, resume
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.write import write_result
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence
 from pv_inspect.storage import folders
 

@@ -29,7 +29,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.doubts import quarter_turn_sentence
 from pv_inspect.pipeline import inspect_steps
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence

@@ -20,13 +20,16 @@ if TYPE_CHECKING:
     from pv_inspect.calibration.calibrate import calibrate
     from pv_inspect.cracks import look_at_first
     from pv_inspect.errors import InspectionError
-    from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+    from pv_inspect.geometry.grid import HrGrid
+    from pv_inspect.geometry.layout import ModuleLayout
     from pv_inspect.inspection.inspection import Inspection, Step
     from pv_inspect.notebook import plots
     from pv_inspect.pipeline import inspect, inspect_steps
     from pv_inspect.reconstruction.preview import Preview, Region
-    from pv_inspect.reconstruction.reconstruct import bicubic
-    from pv_inspect.results.write import Result, read_result, write_result
+    from pv_inspect.reconstruction.single_frame import bicubic
+    from pv_inspect.results.read import read_result
+    from pv_inspect.results.record import Result
+    from pv_inspect.results.write import write_result
     from pv_inspect.sequence.sequence import FrameSequence, open_sequence
     from pv_inspect.settings import Settings, Stage
 

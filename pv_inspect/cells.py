@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.reconstruction.reconstruct import Reconstruction
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 
 __all__ = ["CellTiles", "cut_cells"]
 

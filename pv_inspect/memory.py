@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.observation.motion_blur import samples_of
 from pv_inspect.sequence.sequence import cached_frames
 

@@ -30,9 +30,11 @@ from pv_inspect.inspection.inspection import Inspection, Part, Step, stages
 from pv_inspect.memory import need_memory, release
 from pv_inspect.progress.follow import follow
 from pv_inspect.progress.notebook_bar import in_notebook
-from pv_inspect.reconstruction.reconstruct import Reconstruction, reconstruct
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.homography import register_by_homography
-from pv_inspect.registration.register import Registration, register
+from pv_inspect.registration.register import register
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 

@@ -14,10 +14,11 @@ from pv_inspect.cells import cut_cells
 from pv_inspect.cracks import CrackMap, measure_cell
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.reconstruction.reconstruct import Reconstruction
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.settings import Settings
 
 LAYOUT = ModuleLayout(2, 3)

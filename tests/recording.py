@@ -10,10 +10,13 @@ import cv2
 import numpy as np
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import ObservationModel, SensorRays
-from pv_inspect.registration.register import Registration
-from pv_inspect.sequence.sequence import Frame, NoiseModel
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.registration.registration import Registration
+from pv_inspect.sequence.frame import Frame
+from pv_inspect.sequence.sequence import NoiseModel
 from pv_inspect.settings import Settings
 
 SHAPE = (64, 88)

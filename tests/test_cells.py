@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pv_inspect.cells import cut_cells
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.reconstruction.reconstruct import Reconstruction
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 
 
 def reconstruction(aspect: float) -> Reconstruction:

@@ -9,7 +9,8 @@ import pytest
 
 from pv_inspect import memory
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.memory import available_bytes, expected_grid, need_memory, needed_bytes
 from pv_inspect.sequence.sequence import cached_frames
 

@@ -17,7 +17,9 @@ from pv_inspect.inspection.summary import summary
 from pv_inspect.notebook import plots
 from pv_inspect.notebook.display import inspection_html, result_html
 from pv_inspect.reports.module_report import render_report
-from pv_inspect.results.write import Result, read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
+from pv_inspect.results.write import write_result
 from pv_inspect.review.report import render_review
 from tests.handmade import made_inspection
 from tests.reports.test_module_report import Reader

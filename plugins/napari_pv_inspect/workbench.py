@@ -40,7 +40,7 @@ from napari_pv_inspect.session.view_state import SessionKeeper
 from napari_pv_inspect.tasks.run import RunController
 from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 
 __all__ = ["Workbench"]
 

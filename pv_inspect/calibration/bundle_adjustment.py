@@ -11,11 +11,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
+from pv_inspect.calibration.normal_equations import NormalEquations
 from pv_inspect.geometry.camera import Camera
 
-__all__ = ["Bundle", "Fit", "View", "focal_length"]
+__all__ = ["Bundle", "Fit", "View"]
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -33,8 +33,6 @@ NO_IMAGE = 1e6
 MAX_STEPS = 30
 # Scale of residuals without noise, units of sigma_px: keeps the covariances regular.
 SMALLEST_SCALE = 1e-3
-# Relative standard deviation of the cell aspect that a user states: gaps are not quite equal.
-ASPECT_STD = 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,39 +352,6 @@ class Fit:
         return max(float(np.sqrt(np.sum(squared) / freedom)), SMALLEST_SCALE)
 
 
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """[[A, B], [B^T, C]] [homographies; common] = [a; c], A block-diagonal, one block per frame."""
-
-    A: Array
-    B: Array
-    C: Array
-    a: Array
-    c: Array
-
-    def solve(self, damping: float) -> tuple[Array, Array]:
-        """Levenberg-Marquardt step: (n_frames, 8) and (n_free,).
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            If the equations are singular.
-        """
-        diagonal = np.einsum("kii->ki", self.A)
-        A = self.A + np.einsum("ki,ij->kij", damping * diagonal, np.eye(8))
-        C = self.C + damping * np.diag(np.diag(self.C))
-        AB = np.linalg.solve(A, self.B)
-        Aa = np.linalg.solve(A, self.a[..., None])[..., 0]
-        schur = C - np.einsum("kip,kiq->pq", self.B, AB)
-        common = np.linalg.solve(schur, self.c - np.einsum("kip,ki->p", self.B, Aa))
-        return Aa - AB @ common, common
-
-    def common_covariance(self) -> Array:
-        """Covariance of the free common parameters, homographies marginalised."""
-        schur = self.C - np.einsum("kip,kiq->pq", self.B, np.linalg.pinv(self.A) @ self.B)
-        return np.asarray(np.linalg.pinv(schur, hermitian=True))
-
-
 def _adjust(fit: Fit, robust: bool) -> Fit:
     """Levenberg-Marquardt; returns the best it has found, whatever happens."""
     damping, cost, new_cost = 1e-4, fit.cost(robust), np.inf
@@ -411,67 +376,3 @@ def _adjust(fit: Fit, robust: bool) -> Fit:
         if gain < 1e-9 * cost + 1e-12 * n_points:
             break
     return fit
-
-
-def focal_length(fit: Fit) -> tuple[float, float] | None:
-    """Focal length that makes every homography the image of a metric plane.
-
-    Returns
-    -------
-    tuple of float, or None
-        Focal length (LR px) and its relative standard deviation; None if the homographies do not
-        determine it at all (all frames seen head-on).
-
-    Notes
-    -----
-    Zhang 2000 (ref. [38]), Eqs. 3 and 4 for square pixels: with H = [h1 h2 h3] and
-    omega = diag(l, l, 1), l = (focal of the fit / f)^2, the two equations h1^T omega h2 = 0 and
-    h1^T omega h1 = h2^T omega h2 hold for every frame. Their left sides are weighted with their
-    full covariance, with the errors common to all frames: kappa, centre, and the cell aspect,
-    which would otherwise pass for tilt.
-    """
-    equations = fit.normal_equations()
-    h = np.array([H.ravel()[:8] for H in fit.homographies.values()])
-    h11, h12, _, h21, h22, _, h31, h32 = h.T
-    zero = np.zeros_like(h11)
-    slope = np.stack([h11 * h12 + h21 * h22, h11**2 + h21**2 - h12**2 - h22**2], axis=1)
-    offset = np.stack([h31 * h32, h31**2 - h32**2], axis=1)
-    d_slope = np.array(
-        [
-            [h12, h11, zero, h22, h21, zero, zero, zero],
-            [2 * h11, -2 * h12, zero, 2 * h21, -2 * h22, zero, zero, zero],
-        ]
-    ).transpose(2, 0, 1)
-    d_offset = np.array([[*[zero] * 6, h32, h31], [*[zero] * 6, 2 * h31, -2 * h32]])
-    d_offset = d_offset.transpose(2, 0, 1)
-    inverse = np.linalg.pinv(equations.A)
-    common = equations.common_covariance()
-    n = len(h)
-
-    def misfit(log_f: float) -> float:
-        ratio = (fit.bundle.focal / np.exp(log_f)) ** 2
-        error = (ratio * slope + offset).ravel()
-        J = ratio * d_slope + d_offset
-        covariance = np.zeros((n, 2, n, 2))
-        covariance[range(n), :, range(n), :] = J @ inverse @ J.transpose(0, 2, 1)
-        G = (J @ inverse @ equations.B).reshape(2 * n, -1)
-        stretch = np.zeros((n, 2))
-        stretch[:, 1] = 2.0 * ASPECT_STD * (ratio * (h12**2 + h22**2) + h32**2)
-        full = covariance.reshape(2 * n, 2 * n) + G @ common @ G.T
-        full += np.outer(stretch, stretch)
-        return float(error @ np.linalg.solve(full, error))
-
-    grid = np.log(fit.bundle.focal) + np.linspace(np.log(0.25), np.log(6.0), 40)
-    try:
-        best = int(np.argmin([misfit(x) for x in grid]))
-        if best in (0, len(grid) - 1):
-            return None
-        found = minimize_scalar(misfit, bounds=(grid[best - 1], grid[best + 1]), method="bounded")
-        step = 0.01
-        curvature = (misfit(found.x + step) - 2 * found.fun + misfit(found.x - step)) / step**2
-    except np.linalg.LinAlgError:
-        return None
-    if not curvature > 0:
-        return None
-    excess = max(found.fun / max(2 * n - 1, 1), 1.0)
-    return float(np.exp(found.x)), float(np.sqrt(2.0 / curvature * excess * fit.repetition))

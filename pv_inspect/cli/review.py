@@ -55,7 +55,7 @@ def review_of(
     InspectionError
         If the folder is no result, the review can't be read or something can't be written.
     """
-    from pv_inspect.results.write import read_result
+    from pv_inspect.results.read import read_result
     from pv_inspect.review import ReviewStore, of_rater, progress
     from pv_inspect.review.report import export_review
     from pv_inspect.review.tables import DISAGREED, agreed, raters_of

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets
-from pv_inspect.detection.outline import Pose
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["Crossings", "FrameCrossings", "crossings_of"]
 

@@ -23,7 +23,7 @@ from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
-from pv_inspect.detection.outline import OutlineError, Pose
+from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_layout import better_layout, fits_given, found_around, seen_layout
 from pv_inspect.detection.single_frame import (
     RUNS_OVER,
@@ -36,6 +36,7 @@ from pv_inspect.detection.single_frame import (
 )
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.copies import copies_told
 from pv_inspect.sequence.sequence import FrameSequence
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
-from pv_inspect.detection.outline import Pose
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["cell_levels", "grid_fault", "is_lit", "offsets_px"]
 

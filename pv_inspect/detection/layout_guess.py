@@ -1,9 +1,8 @@
 """Rows, columns and cell aspect of a module, guessed from the frames when nobody gives them.
 
-The outline alone gives a pose up to the number of cells. Seen through that pose the module is a
-rectangle in which gaps between cells are dark lines at k / n of its width and height. Busbars are
-dark lines too, in one of the two directions; they are less dark, not evenly spaced together with
-the gaps, or would make cells of an unlikely aspect.
+Through the pose of the outline the module is a rectangle in which gaps between cells are dark
+lines at k / n of its width and height. Busbars are dark lines too, in one direction; they are less
+dark, not evenly spaced together with the gaps, or make cells of an unlikely aspect.
 """
 
 from __future__ import annotations
@@ -15,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
-from pv_inspect.detection.outline import OutlineError, Pose, find_outlines, fit_pose
+from pv_inspect.detection.outline import OutlineError, find_outlines, fit_pose
 from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.detection.outline import Pose
 from pv_inspect.detection.single_frame import Found
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["runs_down", "same_way_up"]

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets
-from pv_inspect.detection.outline import OutlineError, Pose
+from pv_inspect.detection.outline import OutlineError
 from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["refined_pose", "split_edges"]
 

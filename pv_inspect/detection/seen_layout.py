@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.layout_guess import View, ranked_layouts, scored_view, view_of
-from pv_inspect.detection.outline import OutlineError, Pose
+from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.single_frame import MAX_ASPECT_RATIO_ERROR, Found, detect_in_frame
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["better_layout", "fits_given", "found_around", "seen_layout"]
 

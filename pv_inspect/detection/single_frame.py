@@ -16,13 +16,13 @@ from pv_inspect.detection.grid_check import IN_PLACE_PX, cell_levels, grid_fault
 from pv_inspect.detection.outline import (
     Outline,
     OutlineError,
-    Pose,
     find_outlines,
     fit_pose,
     solver_errors_as_reasons,
 )
 from pv_inspect.detection.pose_refinement import refined_pose, split_edges
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 __all__ = [
     "MAX_ASPECT_RATIO_ERROR",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pv_inspect.detection.orientation import runs_down
-from pv_inspect.detection.outline import Pose
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.inspection.figures import known_median
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.copies import copies_sentence
 
 __all__ = ["CONTRADICTION", "doubts_of", "left_out", "quarter_turn_sentence", "warnings_of"]

@@ -12,8 +12,8 @@ from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import CrackMap
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.reconstruction.reconstruct import Reconstruction
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 

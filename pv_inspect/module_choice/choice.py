@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.detection.crossings import Crossings
-from pv_inspect.detection.outline import Pose
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.module_choice.frame_agreement import FrameGroups, Placement, group_frames
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings

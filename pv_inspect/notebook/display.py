@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pv_inspect.cracks import CellCounts, CellFeatures, CrackMap
 from pv_inspect.errors import printable
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.figures import REGISTRATION_RESIDUAL, RESIDUAL, median_text
 from pv_inspect.reports.pictures import (
     blended,
@@ -24,7 +25,7 @@ from pv_inspect.reports.pictures import (
 
 if TYPE_CHECKING:
     from pv_inspect.inspection.inspection import Inspection
-    from pv_inspect.results.write import Result
+    from pv_inspect.results.record import Result
 
 __all__ = ["inspection_html", "result_html"]
 

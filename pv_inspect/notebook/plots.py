@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from pv_inspect.calibration.calibrate import Calibration
     from pv_inspect.inspection.inspection import Inspection
-    from pv_inspect.registration.register import Registration
+    from pv_inspect.registration.registration import Registration
 
 __all__ = ["cells", "grid", "residuals"]
 

@@ -108,7 +108,7 @@ class MovingFrame:
         to_hr : (3, 3) float64
             Rays to HR pixels.
         rays, per_px : (height, width, 2) and (height, width, 2, 2) float64
-            See `pv_inspect.observation.model.SensorRays`.
+            See `pv_inspect.geometry.rays.SensorRays`.
         moments : (4,) float64
             See `pv_inspect.observation.model.ObservationModel.moments`.
         motion : (2,) float64

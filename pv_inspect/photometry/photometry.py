@@ -17,7 +17,7 @@ from pv_inspect.observation.model import ObservationModel
 from pv_inspect.photometry.fixed_pattern import columns_of_frames, fixed_columns, pixel_gains
 from pv_inspect.photometry.residual_sums import ResidualSums, halves_along
 from pv_inspect.photometry.vignetting import Vignetting, estimate_vignetting
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 
 __all__ = ["Consistency"]
 

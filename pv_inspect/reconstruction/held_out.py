@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.motion_blur import STILL, MovingFrame
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.psf import Blur
 
 __all__ = ["Judge", "View", "cut_view", "equations_of", "model_of", "seen_part", "split"]

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.registration.register import Registration
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["CrossSpectra", "cross_spectra", "estimate_motion", "fit_motion"]

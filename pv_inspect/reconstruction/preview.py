@@ -19,15 +19,19 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import in_turn
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.motion_blur import STILL, motion_of
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.photometry.photometry import huber_weights, observed
 from pv_inspect.reconstruction.held_out import View, seen_part
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
-from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX, Reconstruction, brightness_of
+from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX
+from pv_inspect.reconstruction.reconstruction import Reconstruction, brightness_of
 from pv_inspect.reconstruction.solver import Problem, minimise
-from pv_inspect.registration.register import Registration, module_mean
+from pv_inspect.registration.module_mean import module_mean
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 

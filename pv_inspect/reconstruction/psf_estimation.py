@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.parallel import mapped
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import NormalEquations
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.observation.motion_blur import detail_left
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.work import Progress, relayed
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.memory import release, require_memory
-from pv_inspect.observation.model import SensorRays
 from pv_inspect.observation.motion_blur import length_and_angle
 from pv_inspect.photometry.photometry import (
     Photometry,
@@ -32,26 +32,18 @@ from pv_inspect.reconstruction.prior_weight import (
     windows_of,
 )
 from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma, window_of
+from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
+from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.reconstruction.support import FAINT, support_of
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
-__all__ = [
-    "TYPICAL_SIGMA_LR_PX",
-    "Progress",
-    "Reconstruction",
-    "bicubic",
-    "brightness_of",
-    "reconstruct",
-    "solve",
-]
+__all__ = ["TYPICAL_SIGMA_LR_PX", "Progress", "reconstruct", "solve"]
 
 Image = NDArray[np.float32]
-Curve = tuple[tuple[float, float], ...]
 
-_NO_CURVE: Curve = ()
 
 TYPICAL_SIGMA_LR_PX = 0.45
 """Optical sigma that the first look at the module assumes."""
@@ -65,63 +57,6 @@ _PSF_MAGNIFICATION = 4.0
 _FIRST_LOOK = 10
 # A finer one takes a third more steps for less than 0.05 dB.
 _TOLERANCE = 1.5e-3
-# HR rows that `bicubic` projects at a time.
-_ROWS = 256
-
-
-@dataclass(frozen=True, eq=False)
-class Reconstruction:
-    """The HR module image.
-
-    Parameters
-    ----------
-    image : (height, width) float32
-        Intensities, full scale = 1.
-    support : (height, width) float32
-        0..1: share of a detail of 10 % contrast, just finer than the LR pixels, that comes from the
-        frames; see
-        `pv_inspect.reconstruction.support`.
-    grid : HrGrid
-        Where the pixels lie on the module.
-    prior_weight : float
-        lambda that was used.
-    psf_sigma_lr_px : float
-        Optical blur that was used, LR px.
-    objective : tuple of float
-        Value of Eq. 7 after every round of the solver.
-    converged : bool
-        False: the iteration limit came first.
-    consistency : (height, width) float32
-        Residual of the frames around a pixel in units of the noise: about 1 where they agree with
-        the image, more where they contradict it, 0 where no frame looks.
-    residual_rms : tuple of float
-        Residual per frame (see `figures`): robust, in units of the noise; NaN if not in use.
-    motion : tuple of (length, angle)
-        Motion blur per frame, LR px and degrees in the sensor plane; (0, 0) for frames that are
-        still or not in use.
-    iterations : int
-        Steps of the solver.
-    lambda_curve : tuple of (float, float)
-        Weights that were tried and what they left of held-out pixels with PSFs a little off, mean
-        square in noise units;
-        empty if the user gave lambda.
-    photometry : Photometry, optional
-        The sensor's part in the intensities, if it was looked for.
-    """
-
-    image: Image
-    support: Image
-    grid: HrGrid
-    prior_weight: float
-    psf_sigma_lr_px: float
-    objective: tuple[float, ...]
-    converged: bool
-    consistency: Image
-    residual_rms: tuple[float, ...]
-    motion: tuple[tuple[float, float], ...]
-    iterations: int
-    lambda_curve: Curve = ()
-    photometry: Photometry | None = None
 
 
 def reconstruct(
@@ -181,7 +116,7 @@ def reconstruct(
     trials = yield from _all_added(data, used, windows, 0.4, 0.5)
     _need_pixels(data)
     start = first_guess(data.equations) if look is None else look
-    weight, curve = settings.prior_weight, _NO_CURVE
+    weight, curve = settings.prior_weight, NO_CURVE
     if weight is None:
         weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
     del trials  # of hundreds of frames more than the module image itself
@@ -249,38 +184,6 @@ def solve(
         solution.iterations,
         photometry=data.photometry,
     )
-
-
-def bicubic(
-    sequence: FrameSequence, registration: Registration, grid: HrGrid, frame: int
-) -> NDArray[np.float32]:
-    """Rectify one frame by bicubic interpolation: what there is without super-resolution.
-
-    Parameters
-    ----------
-    sequence : FrameSequence
-    registration : Registration
-    grid : HrGrid
-    frame : int
-
-    Returns
-    -------
-    (height, width) float32
-        On the module's intensity scale; 0 where the frame does not see the module plane.
-    """
-    offset, gain = float(registration.offset[frame]), float(registration.gain[frame])
-    image = np.ascontiguousarray((sequence.frame(frame).image - offset) / gain, dtype=np.float32)
-    height, width = grid.shape
-    out = np.empty(grid.shape, np.float32)
-    for top in range(0, height, _ROWS):
-        y, x = np.mgrid[top : min(top + _ROWS, height), :width].astype(np.float64)
-        points = grid.to_module(np.stack([x, y], axis=-1))
-        px = registration.camera.project(registration.homographies[frame], points)
-        px = np.nan_to_num(px, nan=-10.0).astype(np.float32)
-        out[top : top + _ROWS] = cv2.remap(
-            image, px[..., 0], px[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT
-        )
-    return out
 
 
 def _all_added(
@@ -382,17 +285,3 @@ def _estimate_psf(
     estimate = estimate_psf_sigma(camera, window, views)
     told = "estimating the PSF"
     return (yield from relayed(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))
-
-
-def brightness_of(image: Image, grid: HrGrid) -> float:
-    """Median intensity of the module; the prior measures contrast against it.
-
-    Parameters
-    ----------
-    image : (height, width) float32
-        The whole module.
-    grid : HrGrid
-    """
-    x0, y0 = np.round(grid.to_pixels(np.zeros(2)) + 0.5).astype(int)
-    x1, y1 = np.round(grid.to_pixels(np.asarray(grid.layout.size)) + 0.5).astype(int)
-    return max(float(np.median(image[y0:y1:2, x0:x1:2])), 1e-6)

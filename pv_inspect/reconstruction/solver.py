@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from pv_inspect.common.compiling import compiled
-from pv_inspect.observation.model import NormalEquations
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic, dot
 from pv_inspect.reconstruction.preconditioner import Spectral
 from pv_inspect.reconstruction.prior import Prior, PriorName, prior_named

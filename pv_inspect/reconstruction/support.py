@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.observation.model import NormalEquations
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic, dot
 from pv_inspect.reconstruction.preconditioner import Spectral
 

@@ -14,22 +14,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.calibration.calibrate import Calibration, conventional_focal_length
+from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.calibration.focal_length import conventional_focal_length
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import normal_equations
-from pv_inspect.registration.register import (
-    MESSAGE,
-    NOT_CONVERGED,
-    Registration,
-    left_out,
-    module_mean,
-)
-from pv_inspect.sequence.sequence import Frame, FrameSequence
+from pv_inspect.registration.module_mean import module_mean
+from pv_inspect.registration.register import MESSAGE, NOT_CONVERGED, left_out
+from pv_inspect.registration.registration import Registration
+from pv_inspect.sequence.frame import Frame
+from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["register_by_homography"]

@@ -18,16 +18,24 @@ from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.common.work import Progress
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.memory import release
 from pv_inspect.module_choice.choice import choose_module
-from pv_inspect.registration.alignment import N_PARAMETERS, accumulate_frame, normal_equations
+from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
+from pv_inspect.registration.module_mean import (
+    _normalised,
+    blur,
+    detail_correlation,
+    indices,
+    module_mean,
+)
+from pv_inspect.registration.registration import Registration, unregistered
 from pv_inspect.registration.straightening import straighten
 from pv_inspect.sequence.copies import copies_told
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
-__all__ = ["Registration", "left_out", "module_mean", "register", "unregistered"]
+__all__ = ["left_out", "register"]
 
 MESSAGE = "registering the frames against the module"
 
@@ -70,65 +78,6 @@ MIN_TYPICAL = 0.2
 """If the frames hardly correlate, all cells look alike and the correlation tells nothing."""
 MAX_STRAY_CELLS = 0.4
 """A registered frame that moved further from its crossing points is lost, in cell widths."""
-
-
-@dataclass(frozen=True)
-class Registration:
-    """Where every LR pixel of every frame lies on the module.
-
-    Frame i, in full-scale units, is g_i = gain_i * (W_i f) + offset_i + noise.
-
-    Parameters
-    ----------
-    layout : ModuleLayout
-    camera : Camera
-    homographies : (n_frames, 3, 3) float64
-        Module plane to normalised image coordinates.
-    used : (n_frames,) bool
-    why : tuple of str
-        Why a frame is not used; empty for those that are.
-    gain, offset : (n_frames,) float64
-        Photometry; the geometric mean of the gains is 1.
-    rms : (n_frames,) float64
-        Registration residual (see `figures`): robust, in units of the noise; NaN if not used.
-    comparable : bool
-        Whether frames of another module would have been noticed; False where nothing tells the
-        cells apart.
-    """
-
-    layout: ModuleLayout
-    camera: Camera
-    homographies: Array
-    used: NDArray[np.bool_]
-    why: tuple[str, ...]
-    gain: Array
-    offset: Array
-    rms: Array
-    comparable: bool = True
-
-    def crossings_px(self, frame: int) -> Array:
-        """Crossing points of the layout in one frame: (n_crossings, 2), LR pixels."""
-        return self.camera.project(self.homographies[frame], self.layout.crossings())
-
-    @property
-    def lr_px_per_unit(self) -> float:
-        """Mean scale of the module in the frames that are used, LR pixels per module unit."""
-        return _mean_scale(self.camera, self.homographies[self.used], self.layout)
-
-
-def unregistered(calibration: Calibration) -> Registration:
-    """Take the poses of the calibration as they are, with gain 1 and offset 0."""
-    count = len(calibration.used)
-    return Registration(
-        calibration.layout,
-        calibration.camera,
-        calibration.homographies,
-        calibration.used,
-        calibration.why,
-        np.ones(count),
-        np.zeros(count),
-        np.full(count, np.nan),
-    )
 
 
 def register(
@@ -192,7 +141,7 @@ def register(
         grid = HrGrid.covering(state.layout, lr_px_per_unit, plan.magnification, 0.1)
         reference, covered = module_mean(sequence, state, grid)
         yield Progress(done / total, MESSAGE)
-        blurred = _blur(reference, plan.blur_lr_px * grid.magnification)
+        blurred = blur(reference, plan.blur_lr_px * grid.magnification)
         correlation = np.full(len(sequence), np.nan)
         rms = np.full(len(sequence), np.nan)
         homographies, gain, offset = (
@@ -207,7 +156,7 @@ def register(
                 precision = _precision(sequence, frame.image, frame.valid)
                 try:
                     (homographies[index], gain[index], offset[index], rms[index]) = _align(
-                        _blur(frame.image, plan.blur_lr_px),
+                        blur(frame.image, plan.blur_lr_px),
                         precision,
                         rays,
                         blurred,
@@ -219,12 +168,12 @@ def register(
                 except np.linalg.LinAlgError:
                     homographies[index] = np.nan
                 if number == 0 and np.isfinite(homographies[index]).all():
-                    correlation[index] = _detail_correlation(
+                    correlation[index] = detail_correlation(
                         frame.image, state.camera, homographies[index], blurred, covered, grid
                     )
             yield Progress(done / total, MESSAGE)
         found = np.isfinite(homographies).all(axis=(1, 2)) & np.isfinite(gain + offset)
-        lost = dict.fromkeys(_indices(state.used & ~found), NOT_CONVERGED)
+        lost = dict.fromkeys(indices(state.used & ~found), NOT_CONVERGED)
         state = _normalised(_without(state, lost), homographies, gain, offset, rms)
         if number == 0 and state.used.any():
             kept = sequence.indices(settings.keep_frames)
@@ -235,38 +184,6 @@ def register(
                 f"({_first_reason(state.why)}): check that they show the same module."
             )
     return _anchored(state, anchor)
-
-
-def module_mean(
-    sequence: FrameSequence, registration: Registration, grid: HrGrid
-) -> tuple[Image, NDArray[np.bool_]]:
-    """Mean of all used frames on a grid of the module plane.
-
-    Returns
-    -------
-    (H, W) float32
-        Mean of (g_i - offset_i) / gain_i; 0 where no frame sees the module.
-    (H, W) bool
-        Where at least one frame sees the module.
-    """
-    total = np.zeros(grid.shape, np.float32)
-    weight = np.zeros(grid.shape, np.float32)
-    camera = registration.camera
-    for index in _indices(registration.used):
-        frame = sequence.frame(index)
-        accumulate_frame(
-            total,
-            weight,
-            frame.image,
-            frame.valid,
-            registration.homographies[index] @ grid.matrix,
-            camera.K,
-            camera.kappa,
-            float(registration.gain[index]),
-            float(registration.offset[index]),
-        )
-    covered = weight > 0
-    return np.divide(total, weight, out=np.zeros_like(total), where=covered), covered
 
 
 def _align(
@@ -324,60 +241,6 @@ def _precision(sequence: FrameSequence, image: Image, valid: NDArray[np.bool_]) 
     return np.where(valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
 
 
-def _blur(image: Image, sigma: float) -> Image:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32) if sigma > 0 else image
-
-
-def _detail_correlation(
-    image: Image,
-    camera: Camera,
-    homography: Array,
-    module: Image,
-    covered: NDArray[np.bool_],
-    grid: HrGrid,
-) -> float:
-    """Correlation of one frame with the module image in what tells its cells apart.
-
-    Slow brightness is taken out, and so is the mean cell: gaps and busbars look the same on every
-    module.
-    """
-    total = np.zeros(grid.shape, np.float32)
-    weight = np.zeros(grid.shape, np.float32)
-    valid = np.ones(image.shape, bool)
-    accumulate_frame(
-        total, weight, image, valid, homography @ grid.matrix, camera.K, camera.kappa, 1.0, 0.0
-    )
-    seen = covered & (weight > 0)
-    scale = grid.magnification
-    detail = [_blur(a, 1.5 * scale) - _blur(a, 6.0 * scale) for a in (total, module)]
-    layout = grid.layout
-    slices = [
-        grid.cell_slices(row, col) for row in range(layout.rows) for col in range(layout.cols)
-    ]
-    slices = [cell for cell in slices if seen[cell].all()]
-    if not slices:
-        return 0.0
-    a, b = (np.array([d[cell] for cell in slices]) for d in detail)
-    if len(slices) > 1:
-        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-30))
-
-
-def _normalised(
-    state: Registration, homographies: Array, gain: Array, offset: Array, rms: Array
-) -> Registration:
-    """Fix what the frames leave open: the mean gain is 1, the mean offset 0."""
-    used = state.used
-    if not used.any():
-        return state
-    factor = float(np.exp(np.log(gain[used]).mean()))
-    gain = np.where(used, gain / factor, 1.0)
-    # g = gain f + offset stays the same when f + c and offset - gain c are taken instead.
-    shift = float((offset[used] / gain[used]).mean())
-    offset = np.where(used, offset - gain * shift, 0.0)
-    return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
-
-
 def left_out(sequence: FrameSequence, settings: Settings) -> dict[int, str]:
     """Say why frames are not used whatever they show: copies, and what the user does not want."""
     skipped = dict.fromkeys(sequence.indices(settings.skip_frames), LEFT_OUT)
@@ -400,7 +263,7 @@ def _rejected(
     used, why = state.used.copy(), list(state.why)
     typical = float(np.nanmedian(correlation))
     scale = state.lr_px_per_unit
-    for index in _indices(state.used):
+    for index in indices(state.used):
         moved = state.crossings_px(index) - calibration.crossings_px(index)
         stray = float(np.nanmedian(np.linalg.norm(moved, axis=1))) / scale
         alien = typical > MIN_TYPICAL and correlation[index] < MIN_CORRELATION * typical
@@ -451,22 +314,9 @@ def _mean_crossings(state: Registration, anchor: Calibration | Registration) -> 
     """Where the crossing points of other poses lie on the registered module, on average."""
     found = [
         state.camera.unproject(state.homographies[i], anchor.crossings_px(i))
-        for i in _indices(state.used)
+        for i in indices(state.used)
     ]
     return np.asarray(np.nanmean(found, axis=0))
-
-
-def _indices(used: NDArray[np.bool_]) -> list[int]:
-    return [int(index) for index in np.flatnonzero(used)]
-
-
-def _mean_scale(camera: Camera, homographies: Array, layout: ModuleLayout) -> float:
-    points = layout.crossings()
-    jacobians = np.concatenate(
-        [np.empty((0, 2, 2)), *(camera.jacobian(H, points) for H in homographies)]
-    )
-    seen = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
-    return float(np.sqrt(np.abs(np.linalg.det(seen)).mean())) if seen.size else float("nan")
 
 
 def _first_reason(why: tuple[str, ...]) -> str:

@@ -11,16 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.detection.edges import (
-    CellEdges,
-    EdgeOffsets,
-    GapShape,
-    cell_edges,
-    measure_gaps_robustly,
-)
-from pv_inspect.detection.outline import Pose
+from pv_inspect.detection.edges import CellEdges, EdgeOffsets, cell_edges, measure_gaps_robustly
+from pv_inspect.detection.gap_model import GapShape
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["sharpened", "straighten"]
 

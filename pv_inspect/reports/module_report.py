@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from pv_inspect.calibration.calibrate import focal_length_source
+from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first, state_of
 from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, class_text, length_text, tooltip
 from pv_inspect.errors import InspectionError, printable
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cracks import CrackMap, crack_marks
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 
 __all__ = [
     "CRACK_RGB",

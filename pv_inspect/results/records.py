@@ -53,7 +53,7 @@ class EditRecord(Record):
 
 
 class FrameRecord(Record):
-    """What became of a frame; see `pv_inspect.results.write.FrameResult`."""
+    """What became of a frame; see `pv_inspect.results.record.FrameResult`."""
 
     file: Text
     used: Flag

@@ -7,10 +7,10 @@ import numpy as np
 from pv_inspect.cells import cut_cells
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.reconstruction.reconstruct import Reconstruction
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.results.geometry_record import exists, places, read_geometry
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["reopen", "resume"]

@@ -16,7 +16,7 @@ from pv_inspect.cracks import (
 )
 from pv_inspect.cracks.isolation import Busbars, busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 
 __all__ = ["Measure", "measured"]
 

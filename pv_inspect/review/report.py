@@ -20,7 +20,8 @@ from pv_inspect.errors import printable
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.reports.module_report import with_review_state
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
-from pv_inspect.results.write import Result, check_unchanged
+from pv_inspect.results.read import check_unchanged
+from pv_inspect.results.record import Result
 from pv_inspect.review.selection import progress
 from pv_inspect.review.store import ReviewStore
 from pv_inspect.review.tables import DISAGREED, agreed, raters_of, verdicts_csv

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,49 +16,31 @@ from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence.copies import FrameContents
-from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame
-from pv_inspect.sequence.frame_list import existing_image, list_frames
+from pv_inspect.sequence.frame import Frame, prepared
+from pv_inspect.sequence.frame_files import FrameFile, read_frame
+from pv_inspect.sequence.frame_list import list_frames
 from pv_inspect.sequence.noise import NoiseModel, estimate_noise
+from pv_inspect.sequence.opening import check_frames, read_reference
 from pv_inspect.sequence.sensor import (
     black_level,
     column_offsets,
     defective_pixels,
     effective_depth,
-    fill_pixels,
     flat_field,
     temporal_median,
 )
 from pv_inspect.sequence.sidecar import read_sidecar
 from pv_inspect.settings import Settings
 
-__all__ = ["Frame", "FrameSequence", "NoiseModel", "cached_frames", "open_sequence"]
+__all__ = ["FrameSequence", "NoiseModel", "cached_frames", "open_sequence"]
 
 Raw = NDArray[np.unsignedinteger]
 
-_SMALLEST_SIDE_PX = 32
 # Frames that the sensor's properties are estimated from; more add time, not knowledge.
 _SAMPLE_FRAMES = 24
 _SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
 _CACHED_FRAMES, _LAST_FRAMES = 64, 8
 _CACHED_BYTES = 128 * 2**20
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One frame ready for use.
-
-    Parameters
-    ----------
-    image : (height, width) float32
-        Black-subtracted intensity, full scale = 1, divided by the flat field if there is one;
-        defective pixels are filled from their neighbours. Saturated areas keep what the camera
-        said. Read-only.
-    valid : (height, width) bool
-        False: saturated, hot or dead. Read-only.
-    """
-
-    image: NDArray[np.float32]
-    valid: NDArray[np.bool_]
 
 
 def cached_frames(n_frames: int, shape: tuple[int, int]) -> int:
@@ -187,12 +169,12 @@ class FrameSequence:
         root, files, names = found.root, found.files, found.names
         hint = read_sidecar(root, list(found.paths))
         contents = FrameContents()
-        shape, maximum, used_bits = _check(files, names, contents)
+        shape, maximum, used_bits = check_frames(files, names, contents)
         copies = contents.copies(lambda index: read_frame(files[index]))
         dtype = files[0].dtype
         dark = None
         if dark_frame is not None:
-            dark = _read_reference(Path(dark_frame), "dark", shape, dtype, limits)
+            dark = read_reference(Path(dark_frame), "dark", shape, dtype, limits)
             maximum = max(maximum, int(dark.max()))
             used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
@@ -219,7 +201,7 @@ class FrameSequence:
         defects.flags.writeable = False
         flat = None
         if flat_frame is not None:
-            exposed = _read_reference(Path(flat_frame), "flat", shape, dtype, limits)
+            exposed = read_reference(Path(flat_frame), "flat", shape, dtype, limits)
             try:
                 flat = flat_field(exposed, black, full_scale)
             except ValueError as error:
@@ -230,7 +212,7 @@ class FrameSequence:
             defects = defects | (flat == 0.0)
             defects.flags.writeable = False
         frames = [
-            _prepare(raw, black, level, full_scale, defects, flat)
+            prepared(raw, black, level, full_scale, defects, flat)
             for raw in stack[:: max(1, len(stack) // 8)]
         ]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
@@ -275,7 +257,7 @@ class FrameSequence:
         index %= len(self)
         frame = self._cache.get(index)
         if frame is None:
-            frame = _prepare(
+            frame = prepared(
                 self.raw(index),
                 self._black,
                 self.black_level,
@@ -353,72 +335,3 @@ def open_sequence(
         If anything is missing, unreadable, of different sizes or of the wrong type.
     """
     return FrameSequence.open(source, dark_frame, flat_frame, limits)
-
-
-def _prepare(
-    raw: Raw,
-    black: NDArray[np.float32],
-    level: float,
-    full_scale: float,
-    defects: NDArray[np.bool_],
-    flat: NDArray[np.float32] | None,
-) -> Frame:
-    image = (raw.astype(np.float32) - black) / np.float32(full_scale - level)
-    if flat is not None:
-        np.divide(image, flat, out=image, where=flat > 0.0)
-    valid = (raw < full_scale) & ~defects
-    image = fill_pixels(image, defects, valid)
-    image.flags.writeable = False
-    valid.flags.writeable = False
-    return Frame(image, valid)
-
-
-def _check(
-    files: tuple[FrameFile, ...], names: tuple[str, ...], contents: FrameContents
-) -> tuple[tuple[int, int], int, int]:
-    """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
-    shape = Counter(file.shape for file in files).most_common(1)[0][0]
-    dtype = Counter(file.dtype for file in files).most_common(1)[0][0]
-    maximum, used_bits = 0, 0
-    # What the headers say comes first: nothing is decoded in vain.
-    for name, file in zip(names, files, strict=True):
-        if file.shape != shape:
-            raise InspectionError(
-                f"{name} is {file.shape[1]} x {file.shape[0]}, the sequence is {shape[1]} x "
-                f"{shape[0]}: remove it or load it as its own sequence."
-            )
-        if file.dtype != dtype:
-            raise InspectionError(
-                f"{name} has {8 * file.dtype.itemsize} bits, the sequence has "
-                f"{8 * dtype.itemsize}: remove it or export all frames alike."
-            )
-    if min(shape) < _SMALLEST_SIDE_PX:
-        raise InspectionError(
-            f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
-            f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
-        )
-    for file in files:
-        image = read_frame(file)
-        maximum = max(maximum, int(image.max()))
-        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
-        contents.add(image)
-    return shape, maximum, used_bits
-
-
-def _read_reference(
-    path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any], limits: ReadLimits
-) -> Raw:
-    """Read a dark or flat frame, the median of its pages."""
-    files = expand(existing_image(path), limits)
-    for file in files:
-        if file.shape != shape or file.dtype != dtype:
-            raise InspectionError(
-                f"The {kind} frame {path} is {file.shape[1]} x {file.shape[0]} with "
-                f"{8 * file.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
-                f"{8 * dtype.itemsize}: take it with the same camera settings."
-            )
-    pages = [read_frame(file) for file in files]
-    if len(pages) == 1:
-        return pages[0]
-    median: Raw = temporal_median(np.stack(pages)).astype(dtype)
-    return median

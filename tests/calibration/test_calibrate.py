@@ -6,13 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.calibration.bundle_adjustment import Bundle, Fit, View, focal_length
-from pv_inspect.calibration.calibrate import (
-    FOCAL_CONVENTION,
-    Calibration,
-    calibrate,
-    focal_length_source,
-)
+from pv_inspect.calibration.bundle_adjustment import Bundle, Fit, View
+from pv_inspect.calibration.calibrate import Calibration, calibrate
+from pv_inspect.calibration.focal_length import FOCAL_CONVENTION, focal_length, focal_length_source
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera

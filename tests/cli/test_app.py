@@ -19,8 +19,9 @@ import pv_inspect
 from pv_inspect import pipeline
 from pv_inspect.cli import app as cli
 from pv_inspect.cli import gui as cli_gui
+from pv_inspect.cli.run import IN_DOUBT
 from pv_inspect.inspection.inspection import Step
-from pv_inspect.results.write import read_result
+from pv_inspect.results.read import read_result
 from pv_inspect.settings import Settings, Stage
 from pv_inspect.simulate import SimulationSettings, reserve_sequence
 from pv_inspect.storage import folders
@@ -96,7 +97,7 @@ def test_a_result_in_doubt_says_so_first_and_exits_with_3(
     monkeypatch.setattr(pipeline, "inspect_steps", inspect_steps)
     options = ["--quiet"] if quiet else []
     result = called("run", frames, "--out", tmp_path / "out", *options)
-    assert result.exit_code == cli.IN_DOUBT == 3
+    assert result.exit_code == IN_DOUBT == 3
     said = result.stderr if quiet else result.stdout
     assert "The frames contradict each other." in said.splitlines()[0]
     assert read_result(tmp_path / "out").doubts == ("The frames contradict each other.",)

@@ -137,7 +137,8 @@ def test_a_signal_that_is_lost_on_the_way_ends_the_run_all_the_same(
 def test_a_signal_during_the_exchange_lets_it_end_and_the_new_result_is_told(
     tmp_path: Path, stopped: Callable[..., tuple[int, str]]
 ) -> None:
-    from pv_inspect.results.write import read_result, write_result
+    from pv_inspect.results.read import read_result
+    from pv_inspect.results.write import write_result
     from tests.handmade import made_inspection
 
     out = tmp_path / "results" / "out"

@@ -6,7 +6,8 @@ import pytest
 
 from pv_inspect.common.solver_errors import in_words
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 
 
 def test_what_a_solver_raises_becomes_one_sentence() -> None:

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from pv_inspect.detection.edges import (
-    GapShape,
     _robust_means,
     cell_edges,
     measure_edges,
     measure_gaps_robustly,
 )
-from pv_inspect.detection.outline import Pose, conventional_camera
+from pv_inspect.detection.gap_model import GapShape
+from pv_inspect.detection.outline import conventional_camera
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 SHAPE = (160, 200)
 LAYOUT = ModuleLayout(3, 4)

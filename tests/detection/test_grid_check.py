@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from pv_inspect.detection.grid_check import cell_levels, grid_fault, is_lit
-from pv_inspect.detection.outline import OutlineError, Pose
+from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.single_frame import detect_in_frame, find_module
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.simulate import SimulatedSequence
 
 TRUE = ModuleLayout(4, 6)

@@ -6,7 +6,6 @@ import pytest
 
 from pv_inspect.detection.outline import (
     OutlineError,
-    Pose,
     conventional_camera,
     find_outline,
     find_outlines,
@@ -15,6 +14,7 @@ from pv_inspect.detection.outline import (
 )
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 SHAPE = (216, 288)
 LAYOUT = ModuleLayout(4, 6)

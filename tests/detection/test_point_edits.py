@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pv_inspect.calibration.calibrate import calibrate, refit_frame, residual_over_kappa
+from pv_inspect.calibration.calibrate import calibrate
 from pv_inspect.calibration.camera_file import read_camera, write_camera
+from pv_inspect.calibration.refit import refit_frame, residual_over_kappa
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from pv_inspect.settings import Settings
 from tests.handmade import made_crossings, made_inspection
 

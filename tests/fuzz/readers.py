@@ -144,8 +144,8 @@ def _camera(folder: Path, args: Args) -> None:
 
 
 def _result(folder: Path, _: Args) -> None:
+    from pv_inspect.results.read import read_result
     from pv_inspect.results.resume import reopen, resume
-    from pv_inspect.results.write import read_result
 
     result = read_result(folder / "result")
     layout = result.grid.layout

@@ -12,7 +12,8 @@ import tifffile
 from pv_inspect.calibration.calibrate import calibrate
 from pv_inspect.common.work import result_of
 from pv_inspect.detection.detect import detect
-from pv_inspect.registration.register import Registration, register
+from pv_inspect.registration.register import register
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated

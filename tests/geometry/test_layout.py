@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 
 
 def test_crossings_are_row_major_and_in_units_of_the_cell_width() -> None:

@@ -11,9 +11,9 @@ from scipy.fft import idctn
 
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
-from pv_inspect.detection.outline import Pose
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.module_choice.cell_details import CellDetails, noise_spectrum
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.module_choice.detail_agreement import compare_details

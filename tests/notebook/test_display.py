@@ -11,7 +11,8 @@ import pytest
 
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import CRACK_RGB, blended, grey, jpeg_url
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from pv_inspect.settings import Stage
 from tests.handmade import REASON, made_inspection, made_reconstruction
 from tests.reports.test_module_report import Reader

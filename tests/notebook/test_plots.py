@@ -16,7 +16,7 @@ import pv_inspect
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.notebook import plots
-from pv_inspect.sequence.sequence import Frame
+from pv_inspect.sequence.frame import Frame
 from tests.handmade import REASON, FakeSequence, made_inspection
 
 
@@ -149,7 +149,8 @@ def test_only_a_suspected_cell_is_outlined(inspection: Inspection) -> None:
 
 
 def test_half_cells_keep_their_shape() -> None:
-    from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+    from pv_inspect.geometry.grid import HrGrid
+    from pv_inspect.geometry.layout import ModuleLayout
 
     inspection = made_inspection(tiles=None, cracks=None)
     assert inspection.reconstruction is not None

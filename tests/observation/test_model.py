@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.psf import Blur, footprint_variance_lr_px2, kernel_of_variance
 
 SHAPE = (72, 96)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.motion_blur import (
     STILL,
     detail_left,
@@ -15,6 +17,7 @@ from pv_inspect.observation.motion_blur import (
     motion_of,
     samples_of,
 )
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.psf import footprint_variance_lr_px2
 
 SHAPE = (72, 96)

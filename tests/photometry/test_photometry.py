@@ -11,8 +11,11 @@ import pytest
 
 from pv_inspect.common.work import result_of
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
@@ -21,7 +24,7 @@ from pv_inspect.photometry.photometry import (
     observed,
 )
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import Frames
 

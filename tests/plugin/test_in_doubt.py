@@ -22,7 +22,8 @@ from pv_inspect.cracks import CellState
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.doubts import doubts_of
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from tests.plugin.reviewing import show
 
 ALL_BLIND = "12 of 12 cells can't be judged from these frames"

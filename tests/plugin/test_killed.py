@@ -19,7 +19,8 @@ from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from pv_inspect.review import ReviewStore, VerdictKind
 
 pytestmark = pytest.mark.xvfb

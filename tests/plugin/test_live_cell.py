@@ -34,7 +34,8 @@ from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from pv_inspect.settings import Settings
 
 LONG_MS = 30_000

@@ -13,7 +13,8 @@ from napari_pv_inspect.layers.overlays import (
 )
 from napari_pv_inspect.layers.placement import cell_box, module_placement
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection
 
 

@@ -25,7 +25,8 @@ from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import write_result
 from pv_inspect.review import ReviewStore, Verdict, VerdictKind
 from tests.plugin.reviewing import show, stored
 

@@ -16,8 +16,9 @@ from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.session.trials import TrialKeeper
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.results.read import read_result
 from pv_inspect.results.trials import read_trials
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from pv_inspect.common.work import result_of
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.reconstruction.accumulation import Accumulation
 from pv_inspect.reconstruction.reconstruct import reconstruct, solve
 from pv_inspect.reconstruction.solver import first_guess
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from tests.recording import CAMERA, SHAPE, SIGMA, Frames, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300, second_look=False, motion_blur="none")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.reconstruction.consistency import Consistency
 
 GRID = HrGrid(ModuleLayout(1, 1), 100.0, (10.0, 10.0), (120, 130), 4.0)

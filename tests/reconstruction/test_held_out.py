@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.observation.motion_blur import STILL, motion_of
 from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
 

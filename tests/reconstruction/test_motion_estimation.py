@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.motion_blur import length_and_angle, motion_of
 from pv_inspect.reconstruction.motion_estimation import CrossSpectra, estimate_motion, fit_motion
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import Frames
 

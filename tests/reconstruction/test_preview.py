@@ -10,13 +10,14 @@ import pytest
 
 from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.photometry.photometry import observed
 from pv_inspect.reconstruction.held_out import cut_view
 from pv_inspect.reconstruction.preview import Preview, Region, bent
-from pv_inspect.reconstruction.reconstruct import Reconstruction, reconstruct
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from tests.recording import LAYOUT, recording, settings_with
 
 SETTINGS = settings_with(max_iterations=300)

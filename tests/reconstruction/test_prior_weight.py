@@ -8,8 +8,11 @@ import pytest
 
 from pv_inspect.common.work import result_of
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import View, equations_of, model_of
 from pv_inspect.reconstruction.prior_weight import (
     CANDIDATES,

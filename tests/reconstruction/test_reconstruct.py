@@ -11,13 +11,17 @@ import pytest
 
 from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import View
 from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma
-from pv_inspect.reconstruction.reconstruct import Reconstruction, bicubic, reconstruct
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
-from pv_inspect.registration.register import Registration
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import (
     CAMERA,

@@ -9,8 +9,10 @@ import pytest
 from scipy.sparse.linalg import LinearOperator, minres
 
 from pv_inspect.common.work import result_of
-from pv_inspect.geometry.layout import HrGrid
-from pv_inspect.observation.model import NormalEquations, ObservationModel, SensorRays
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.rays import SensorRays
+from pv_inspect.observation.model import ObservationModel
+from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic, Stencil
 from pv_inspect.reconstruction.prior import prior_named
 from pv_inspect.reconstruction.solver import Problem, minimise

@@ -16,7 +16,8 @@ from pv_inspect.detection.detect import detect
 from pv_inspect.errors import InspectionError
 from pv_inspect.registration import homography as homography_registration
 from pv_inspect.registration.homography import register_by_homography
-from pv_inspect.registration.register import Registration, register
+from pv_inspect.registration.register import register
+from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import (

@@ -6,7 +6,8 @@ import pytest
 
 from pv_inspect.detection.edges import cell_edges
 from pv_inspect.geometry.camera import Camera
-from pv_inspect.geometry.layout import HrGrid, ModuleLayout
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.registration.straightening import _basis, sharpened, straighten
 
 LAYOUT = ModuleLayout(5, 7)

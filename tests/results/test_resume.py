@@ -12,8 +12,9 @@ import tifffile
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.results.read import read_result
 from pv_inspect.results.resume import reopen, resume
-from pv_inspect.results.write import read_result, write_result
+from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 from tests.handmade import made_inspection

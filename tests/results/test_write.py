@@ -13,7 +13,8 @@ import tifffile
 
 from pv_inspect.cracks import CellFeatures, OperatingPoint
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.write import check_writable, read_result, tile_name, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.write import check_writable, tile_name, write_result
 from pv_inspect.storage import folders
 from tests.handmade import REASON, made_inspection, made_registration
 

@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 from pv_inspect.cli import app as cli
 from pv_inspect.errors import InspectionError
 from pv_inspect.reports.module_report import with_review_state
-from pv_inspect.results.write import Result, read_result, write_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
+from pv_inspect.results.write import write_result
 from pv_inspect.review import Measure, ModuleData, ReviewStore, Verdict, VerdictKind, fingerprint
 from pv_inspect.review.report import export_review, render_review
 from pv_inspect.storage import folders

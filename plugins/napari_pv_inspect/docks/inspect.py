@@ -41,7 +41,7 @@ from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import CalmWheel, Dress, finish_typing
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 

@@ -30,7 +30,7 @@ from napari_pv_inspect.widgets.style import Dress
 from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 
 __all__ = ["LiveDock"]
 

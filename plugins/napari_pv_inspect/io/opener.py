@@ -17,8 +17,9 @@ from napari_pv_inspect.layers.layer_data import open_sequence
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
 from pv_inspect.results.resume import reopen, resume
-from pv_inspect.results.write import Result, read_result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import read_steadily

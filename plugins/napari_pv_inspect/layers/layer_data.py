@@ -22,7 +22,8 @@ from napari_pv_inspect.appearance import (
     crack_colormap,
 )
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.results.write import Result, read_result
+from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [

@@ -14,9 +14,9 @@ from napari_pv_inspect.layers.layer_data import PART_KEY
 from napari_pv_inspect.layers.placement import Placement, module_placement
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 

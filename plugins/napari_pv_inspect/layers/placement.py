@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from napari_pv_inspect.coordinates import to_world
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 
 __all__ = ["Placement", "cell_box", "module_placement"]
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.preview import Preview, Region, bent
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
-from pv_inspect.reconstruction.reconstruct import bicubic
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.registration.registration import Registration
 from pv_inspect.settings import Settings
 
 __all__ = [

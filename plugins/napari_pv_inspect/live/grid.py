@@ -17,7 +17,8 @@ from napari_pv_inspect.layers.overlays import frame_grid
 from napari_pv_inspect.models.point_editor import PointEditor
 from napari_pv_inspect.models.point_edits import Point
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from pv_inspect.calibration.calibrate import Calibration, calibrate, refit_frame
+from pv_inspect.calibration.calibrate import Calibration, calibrate
+from pv_inspect.calibration.refit import refit_frame
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera

@@ -11,7 +11,8 @@ from psygnal import Signal
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.newest_answer import NewestAnswer
-from pv_inspect.calibration.calibrate import Calibration, residual_over_kappa
+from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.calibration.refit import residual_over_kappa
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import HrGrid
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.observation.motion_blur import motion_of
-from pv_inspect.reconstruction.reconstruct import bicubic
-from pv_inspect.registration.register import Registration
+from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.registration.registration import Registration
 from pv_inspect.review import Cell
 
 __all__ = ["FramePanels", "best_frame", "contours", "frame_panels"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.settings import Stage
 
 __all__ = ["Facts", "capitalised", "facts_of"]

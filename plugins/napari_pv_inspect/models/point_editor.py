@@ -13,7 +13,8 @@ from psygnal import Signal
 from napari_pv_inspect.models.history import Action, History
 from napari_pv_inspect.models.point_edits import Place, Point, PointEdits
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from pv_inspect.calibration.calibrate import Calibration, refit_frame
+from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.calibration.refit import refit_frame
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.inspection.inspection import Inspection
 

@@ -16,7 +16,7 @@ from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection, Step
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 

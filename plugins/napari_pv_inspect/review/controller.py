@@ -13,7 +13,7 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.review import Cell, VerdictKind
 from pv_inspect.settings import Settings
 

@@ -17,7 +17,7 @@ from pv_inspect.cracks import (
 )
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.write import Result
+from pv_inspect.results.record import Result
 from pv_inspect.review import Cell, Measure, measured
 from pv_inspect.settings import Settings
 

@@ -11,8 +11,8 @@ from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
+from pv_inspect.results.record import Result
 from pv_inspect.results.trials import KeptTrial, read_trials, write_trials
-from pv_inspect.results.write import Result
 
 __all__ = ["TrialKeeper"]
 

@@ -11,8 +11,8 @@ from qtpy.QtCore import QObject, QTimer
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
+from pv_inspect.results.record import Result
 from pv_inspect.results.session import Session, read_session, write_session
-from pv_inspect.results.write import Result
 
 __all__ = ["SessionKeeper"]
 

@@ -21,7 +21,7 @@ from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.widgets.listen import listen
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.write import read_result
+from pv_inspect.results.read import read_result
 from pv_inspect.review import ModuleData, ReviewStore
 from pv_inspect.review.report import REVIEW_PAGE, VERDICTS_TABLE, export_review
 

@@ -21,7 +21,8 @@ from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.lambda_plot import LambdaPlot
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.slider import SettingSlider, setting_tooltip
-from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX, Reconstruction
+from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.settings import Settings
 
 __all__ = ["ImageBox"]

@@ -1,0 +1,60 @@
+"""A pose: one camera and one homography, where the module plane is seen in one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.geometry.camera import Camera
+
+__all__ = ["Pose"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One camera and one homography: where the module plane is seen in one frame."""
+
+    camera: Camera
+    homography: Array
+
+    def project(self, module_points: Array) -> Array:
+        """Module points (n, 2) to pixels (n, 2)."""
+        return self.camera.project(self.homography, module_points)
+
+    def unproject(self, pixels: Array) -> Array:
+        """Pixels (n, 2) to module points (n, 2)."""
+        return self.camera.unproject(self.homography, pixels)
+
+    def turned(
+        self, size: tuple[float, float], new_size: tuple[float, float], quarter_turns: int
+    ) -> Pose:
+        """Put another rectangle, or the same one turned, onto the same place of the image.
+
+        Parameters
+        ----------
+        size, new_size : tuple of float
+            Width and height of the module of this pose, and of the returned one.
+        quarter_turns : int
+            Which corner of this module becomes the top left one, counted clockwise.
+
+        Returns
+        -------
+        Pose
+        """
+        turn = np.linalg.matrix_power(np.array([[0.0, -1, 1], [1, 0, 0], [0, 0, 1]]), quarter_turns)
+        scale, new_scale = np.diag([*size, 1.0]), np.diag([*new_size, 1.0])
+        return Pose(self.camera, self.homography @ scale @ turn @ np.linalg.inv(new_scale))
+
+    @property
+    def aspect(self) -> float:
+        """Length of the module's unit along x / along y, in truth, from the perspective.
+
+        The columns of K^-1 H of a plane are r1 and r2 of the rotation, times its units. It is as
+        good as the focal length is known; without tilt that does not matter.
+        """
+        across, down = np.linalg.norm(self.homography[:, :2], axis=0)
+        return float(across / down)

@@ -1,0 +1,194 @@
+"""Reading a result folder, with everything in it checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.common.csv_tables import csv_lines
+from pv_inspect.common.records import checked, json_from, read_text
+from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks.features import from_texts
+from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.image_files.stored import stored_floats, stored_shape
+from pv_inspect.results.folder import (
+    RESULT_JSON,
+)
+from pv_inspect.results.record import Result, _known, frame_from
+from pv_inspect.results.records import ResultRecord
+from pv_inspect.settings import Settings
+from pv_inspect.storage.folders import read_steadily, recovered
+
+__all__ = ["check_unchanged", "read_result"]
+
+
+def read_result(folder: Path) -> Result:
+    """Read a result folder.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InspectionError
+        If the folder is no result, or a file of it is missing or damaged.
+    """
+    folder = recovered(folder)
+    return read_steadily(folder, lambda: _read_result(folder))
+
+
+def _read_result(folder: Path) -> Result:
+    path = folder / RESULT_JSON
+    try:
+        there = path.is_file()
+    except OSError as error:  # no permission, or a name that is too long
+        raise InspectionError(
+            f"{folder} can't be read ({error.strerror}): give the folder that `pv-inspect run "
+            "--out` wrote."
+        ) from None
+    if not there:
+        raise InspectionError(
+            f"{folder} is no result folder ({RESULT_JSON} is missing): give the folder that "
+            "`pv-inspect run --out` wrote."
+        )
+    with _damaged(path):
+        content, record = _record_in(path)
+        layout = ModuleLayout(**record.layout.model_dump())
+        camera = Camera(np.array(record.camera.K, np.float64), record.camera.kappa)
+        settings = Settings.create(**record.settings)
+    grid = HrGrid(
+        layout,
+        record.pixels_per_cell[0],
+        record.origin_px,
+        _shape_of(folder / "module_hr.tif"),
+        record.magnification,
+    )
+    with _damaged(path):
+        _check_place(grid)
+    image = _read_image(folder / "module_hr.tif", grid.shape)
+    support = _read_image(folder / "support.tif", grid.shape, gaps=True)
+    consistency = _read_image(folder / "consistency.tif", grid.shape, gaps=True)
+    probability = _read_image(folder / "cracks.tif", grid.shape)
+    with _damaged(folder / "cells.csv"):
+        cells = _cells_from(read_text(folder / "cells.csv"), layout)
+    return Result(
+        folder,
+        image,
+        support,
+        consistency,
+        probability,
+        grid,
+        camera,
+        tuple(map(frame_from, record.frames)),
+        cells,
+        settings,
+        record.crack_threshold,
+        record.crack_detector,
+        record.crack_least_extent_cells,
+        record.seconds,
+        tuple(record.warnings),
+        record.versions,
+        _known(record.prior_weight),
+        _known(record.psf_sigma_lr_px),
+        # With what an earlier version did not say.
+        content,
+        tuple(record.doubts),
+    )
+
+
+def _record_in(path: Path) -> tuple[dict[str, Any], ResultRecord]:
+    """All that ``result.json`` says, with what an earlier version did not; and what is checked."""
+    content = json_from(read_text(path))
+    record = checked(ResultRecord, content)
+    return {**content, **record.model_dump(mode="json")}, record
+
+
+def check_unchanged(result: Result) -> None:
+    """Check that a result folder still holds the result that was read from it.
+
+    Raises
+    ------
+    InspectionError
+        If another run has replaced it.
+    """
+    path = result.folder / RESULT_JSON
+    with _damaged(path):
+        now, _ = _record_in(path)
+    if now != result.record:
+        raise InspectionError(
+            f"{result.folder} holds another result than the one that was opened: open it again."
+        )
+
+
+def _shape_of(path: Path) -> tuple[int, int]:
+    """Size of a stored image, without reading its pixels."""
+    with _damaged(path):
+        return stored_shape(path)
+
+
+def _read_image(path: Path, shape: tuple[int, int], gaps: bool = False) -> NDArray[np.float32]:
+    """Read an image of a known size; ``gaps``: it may have pixels that are not known."""
+    with _damaged(path):
+        if stored_shape(path) != shape:
+            raise ValueError("it is of another size than the module image or its grid")
+        image = stored_floats(path)
+        if np.isinf(image).any() or (not gaps and np.isnan(image).any()):
+            raise ValueError("it has pixels that are no numbers")
+    return image
+
+
+def _check_place(grid: HrGrid) -> None:
+    """Refuse a grid whose cells do not lie on its image."""
+    rows, cols = grid.layout.rows, grid.layout.cols
+    corners = [grid.cell_slices(0, 0), grid.cell_slices(rows - 1, cols - 1)]
+    (first_y, first_x), (last_y, last_x) = corners
+    height, width = grid.shape
+    if min(first_y.start, first_x.start) < 0 or last_y.stop > height or last_x.stop > width:
+        raise ValueError(
+            f"origin_px and pixels_per_cell put {rows} x {cols} cells beyond the image of {width} "
+            f"x {height} px"
+        )
+
+
+def _cells_from(text: str, layout: ModuleLayout) -> tuple[CellFeatures, ...]:
+    cells = tuple(
+        from_texts(int(line["row"]) - 1, int(line["col"]) - 1, line) for line in csv_lines(text)
+    )
+    if [(cell.row, cell.col) for cell in cells] != list(np.ndindex(layout.rows, layout.cols)):
+        raise ValueError(
+            f"it has not one line for each of {layout.rows} x {layout.cols} cells, row by row"
+        )
+    for cell in cells:
+        for name in ("crack_length_cells", "crack_score", "dark_area_share", "mean_intensity"):
+            if not abs(getattr(cell, name)) < 1e9:
+                raise ValueError(f"row {cell.row + 1}, column {cell.col + 1}: {name} is no number")
+    return cells
+
+
+@contextmanager
+def _damaged(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file raises into one sentence."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise InspectionError(
+            f"{path} is missing, so that the result is not whole: run the inspection again."
+        ) from None
+    except Exception as error:  # what the decoders of damaged files raise is not documented
+        detail = f"no entry {error}" if isinstance(error, KeyError) else str(error)
+        raise InspectionError(
+            f"{path} is damaged or of another version ({detail}): run the inspection again."
+        ) from None
