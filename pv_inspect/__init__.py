@@ -59,23 +59,23 @@ __all__ = [
 
 _HOME = {
     "FrameSequence": "sequence.sequence",
-    "HrGrid": "geometry.layout",
+    "HrGrid": "geometry.grid",
     "Inspection": "inspection.inspection",
     "InspectionError": "errors",
     "ModuleLayout": "geometry.layout",
     "Preview": "reconstruction.preview",
     "Region": "reconstruction.preview",
-    "Result": "results.write",
+    "Result": "results.record",
     "Settings": "settings",
     "Stage": "settings",
     "Step": "inspection.inspection",
-    "bicubic": "reconstruction.reconstruct",
+    "bicubic": "reconstruction.single_frame",
     "calibrate": "calibration.calibrate",
     "inspect": "pipeline",
     "inspect_steps": "pipeline",
     "look_at_first": "cracks",
     "open_sequence": "sequence.sequence",
-    "read_result": "results.write",
+    "read_result": "results.read",
     "write_result": "results.write",
 }
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from napari_pv_inspect.reader import LayerData, read_sequence
+from napari_pv_inspect.reader import read_sequence
+
+if TYPE_CHECKING:
+    from napari_pv_inspect.layers.layer_data import LayerData
 
 __all__ = ["sample_folder", "sample_module"]
 

@@ -322,7 +322,7 @@ def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose
     shift = np.array([x - 2 * pad, y - pad - pad // 2], np.float64)
     ideal = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 4
     pixels = pose.project(ideal) + shift
-    normalised = pose.camera.undistort((pixels - pose.camera.K[:2, 2]) / pose.camera.K[0, 0])
+    normalised = pose.camera.undistort(pose.camera.to_normalised(pixels))
     matrix = cv2.getPerspectiveTransform(
         ideal.astype(np.float32), np.asarray(normalised).astype(np.float32)
     )

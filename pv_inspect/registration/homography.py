@@ -8,7 +8,7 @@ no module image to align to: what the method loses by that is what the ablation 
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -26,7 +26,7 @@ from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import normal_equations
 from pv_inspect.registration.module_mean import module_mean
 from pv_inspect.registration.register import MESSAGE, NOT_CONVERGED, left_out
-from pv_inspect.registration.registration import Registration
+from pv_inspect.registration.registration import Registration, normalised
 from pv_inspect.sequence.frame import Frame
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -306,15 +306,5 @@ def _with_photometry(
     used = state.used.copy()
     used[lost] = False
     why = tuple(NOT_CONVERGED if i in lost else reason for i, reason in enumerate(state.why))
-    gain[used] /= np.exp(np.log(gain[used]).mean())
-    return Registration(
-        state.layout,
-        state.camera,
-        state.homographies,
-        used,
-        why,
-        np.where(used, gain, 1.0),
-        np.where(used, offset, 0.0),
-        rms,
-        state.comparable,
-    )
+    state = replace(state, used=used, why=why)
+    return normalised(state, state.homographies, gain, offset, rms)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -90,21 +88,6 @@ def detail_correlation(
     if len(slices) > 1:
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-30))
-
-
-def _normalised(
-    state: Registration, homographies: Array, gain: Array, offset: Array, rms: Array
-) -> Registration:
-    """Fix what the frames leave open: the mean gain is 1, the mean offset 0."""
-    used = state.used
-    if not used.any():
-        return state
-    factor = float(np.exp(np.log(gain[used]).mean()))
-    gain = np.where(used, gain / factor, 1.0)
-    # g = gain f + offset stays the same when f + c and offset - gain c are taken instead.
-    shift = float((offset[used] / gain[used]).mean())
-    offset = np.where(used, offset - gain * shift, 0.0)
-    return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)
 
 
 def indices(used: NDArray[np.bool_]) -> list[int]:

@@ -22,14 +22,8 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.memory import release
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
-from pv_inspect.registration.module_mean import (
-    _normalised,
-    blur,
-    detail_correlation,
-    indices,
-    module_mean,
-)
-from pv_inspect.registration.registration import Registration, unregistered
+from pv_inspect.registration.module_mean import blur, detail_correlation, indices, module_mean
+from pv_inspect.registration.registration import Registration, normalised, unregistered
 from pv_inspect.registration.straightening import straighten
 from pv_inspect.sequence.copies import copies_told
 from pv_inspect.sequence.sequence import FrameSequence
@@ -174,7 +168,7 @@ def register(
             yield Progress(done / total, MESSAGE)
         found = np.isfinite(homographies).all(axis=(1, 2)) & np.isfinite(gain + offset)
         lost = dict.fromkeys(indices(state.used & ~found), NOT_CONVERGED)
-        state = _normalised(_without(state, lost), homographies, gain, offset, rms)
+        state = normalised(_without(state, lost), homographies, gain, offset, rms)
         if number == 0 and state.used.any():
             kept = sequence.indices(settings.keep_frames)
             state = _rejected(state, calibration, correlation, kept)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 
-__all__ = ["Registration", "mean_scale", "unregistered"]
+__all__ = ["Registration", "mean_scale", "normalised", "unregistered"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -84,3 +84,18 @@ def mean_scale(camera: Camera, homographies: Array, layout: ModuleLayout) -> flo
     )
     seen = jacobians[np.isfinite(jacobians).all(axis=(1, 2))]
     return float(np.sqrt(np.abs(np.linalg.det(seen)).mean())) if seen.size else float("nan")
+
+
+def normalised(
+    state: Registration, homographies: Array, gain: Array, offset: Array, rms: Array
+) -> Registration:
+    """Fix what the frames leave open: the mean gain is 1, the mean offset 0."""
+    used = state.used
+    if not used.any():
+        return state
+    factor = float(np.exp(np.log(gain[used]).mean()))
+    gain = np.where(used, gain / factor, 1.0)
+    # g = gain f + offset stays the same when f + c and offset - gain c are taken instead.
+    shift = float((offset[used] / gain[used]).mean())
+    offset = np.where(used, offset - gain * shift, 0.0)
+    return replace(state, homographies=homographies, gain=gain, offset=offset, rms=rms)

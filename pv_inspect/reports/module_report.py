@@ -213,9 +213,11 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     assert registration is not None
     assert reconstruction is not None
     layout, camera = inspection.layout, registration.camera
-    otherwise = "guessed from the frames" if inspection.layout_guessed else "by default"
+    hint = inspection.sequence.layout_hint
     source = {
-        name: "from module.json" if name in inspection.sequence.layout_hint else otherwise
+        name: "guessed from the frames"
+        if inspection.layout_guessed
+        else ("from module.json" if name in hint else "by default")
         for name in ("rows", "cols", "cell_aspect")
     }
     found = {

@@ -22,6 +22,8 @@ RESULT_FILES = (
     "support.tif",
     "consistency.tif",
     "cracks.tif",
+    "sensor_response.tif",
+    "sensor_columns.tif",
     "cells.csv",
     "report.html",
     "geometry.json",

@@ -140,6 +140,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     assert registration is not None
     assert reconstruction is not None
     assert cracks is not None
+    photometry = reconstruction.photometry
     frames = []
     for i, name in enumerate(inspection.sequence.names):
         used = bool(registration.used[i])
@@ -181,6 +182,8 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
             "converged": reconstruction.converged,
         },
         "lambda_curve": reconstruction.lambda_curve,
+        "vignetting": None if photometry is None else vars(photometry.vignetting),
+        "layout_guessed": inspection.layout_guessed,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
         "crack_least_extent_cells": cracks.least_extent_cells,

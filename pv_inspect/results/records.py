@@ -91,6 +91,13 @@ class SourceRecord(Record):
     relative: Text | list[Text | None] | None = None
 
 
+class VignettingRecord(Record):
+    """The fall-off of the light towards the corners: `pv_inspect.photometry.vignetting`."""
+
+    coefficients: Annotated[tuple[Number, ...], Field(max_length=20)]
+    deviations: Annotated[tuple[Number, ...], Field(max_length=20)]
+
+
 class ResultRecord(Record):
     """``result.json``."""
 
@@ -110,6 +117,8 @@ class ResultRecord(Record):
     psf_sigma_lr_px: _Open
     solver: SolverRecord
     lambda_curve: tuple[_OpenPair, ...] = ()
+    vignetting: VignettingRecord | None = None
+    layout_guessed: bool = False
     seconds: dict[str, Number]
     warnings: list[Text]
     doubts: tuple[Text, ...] = ()

@@ -11,6 +11,7 @@ from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.results.geometry_record import exists, places, read_geometry
 from pv_inspect.results.record import Result
+from pv_inspect.results.sensor_correction import read_photometry
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["reopen", "resume"]
@@ -97,6 +98,9 @@ def resume(result: Result, sequence: FrameSequence) -> Inspection:
             (nothing if a is None else a, nothing if b is None else b)
             for a, b in record["lambda_curve"]
         ),
+        photometry=read_photometry(
+            result.folder, record, result.camera, len(result.frames), sequence.shape
+        ),
     )
     crossings, calibration = read_geometry(result.folder, layout, len(result.frames))
     seconds = {stage: t for stage, t in result.seconds.items() if stage != "total"}
@@ -112,6 +116,7 @@ def resume(result: Result, sequence: FrameSequence) -> Inspection:
         result.crack_map,
         seconds,
         result.warnings,
+        layout_guessed=bool(record.get("layout_guessed", False)),
         doubts=result.doubts,
     )
 

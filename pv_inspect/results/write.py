@@ -30,6 +30,7 @@ from pv_inspect.results.folder import (
 )
 from pv_inspect.results.geometry_record import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.results.record import _plain, result_record
+from pv_inspect.results.sensor_correction import COLUMNS_TIF, RESPONSE_TIF
 from pv_inspect.storage.folders import Reservation
 
 __all__ = ["check_writable", "tile_name", "write_result"]
@@ -74,6 +75,11 @@ def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
     yield "support.tif", _tiff(reconstruction.support, grid, "support by the frames, 0 to 1", True)
     what = "residual of the frames in units of the noise"
     yield "consistency.tif", _tiff(reconstruction.consistency, grid, what, True)
+    if (photometry := reconstruction.photometry) is not None:
+        what = "what a pixel of the camera makes of the light, about 1"
+        yield RESPONSE_TIF, _packed(photometry.response, what)
+        what = "what the columns add to every frame, full scale = 1; one row per frame"
+        yield COLUMNS_TIF, _packed(photometry.offsets, what)
     yield "cracks.tif", _tiff(cracks.probability, grid, "crack probability, 0 to 1", True)
     for row, col in np.ndindex(*tiles.images.shape[:2]):
         what = f"cell in row {row + 1}, column {col + 1}, full scale = 1"
@@ -103,6 +109,21 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
         resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
         resolutionunit="NONE",
         description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
+        software=f"pv-inspect {__version__}",
+        metadata=None,
+    )
+    return buffer.getvalue()
+
+
+def _packed(image: NDArray[np.float32], what: str) -> bytes:
+    buffer = io.BytesIO()
+    tifffile.imwrite(
+        buffer,
+        np.ascontiguousarray(image, np.float32),
+        photometric="minisblack",
+        compression="zlib",
+        compressionargs={"level": 1},
+        description=what,
         software=f"pv-inspect {__version__}",
         metadata=None,
     )

@@ -36,3 +36,18 @@ def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(
     qtbot.wait(50)
     assert asked == [(None, None), (None, (30.0, 40.0))]
     guesser.close()
+
+
+def test_a_guess_that_fails_unexpectedly_ends_all_the_same(
+    tiny_sequence: FrameSequence, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def guess(*_: Any) -> LayoutGuess:
+        raise ZeroDivisionError("nobody thought of this")
+
+    monkeypatch.setattr("napari_pv_inspect.live.layout_guess.guess_layout", guess)
+    model = WorkbenchModel()
+    guesser = LayoutGuesser(model)
+    model.open(replace(tiny_sequence, layout_hint={}))
+    assert model.guessing
+    qtbot.waitUntil(lambda: not model.guessing, timeout=5000)
+    guesser.close()

@@ -121,6 +121,10 @@ def test_gains_and_residuals_come_with_it(straight: Scene) -> None:
     gains /= np.exp(np.log(gains).mean())
     np.testing.assert_allclose(straight.plain.gain, gains, atol=0.01)
     assert np.all(straight.plain.rms < 2)
+    # Gain and offset are relative to each other: on average none.
+    used = straight.plain.used
+    assert np.abs((straight.plain.offset[used] / straight.plain.gain[used]).mean()) < 1e-9
+    assert straight.plain.offset[used].std() > 0
 
 
 def test_pixels_do_not_depend_on_the_focal_length(straight: Scene) -> None:

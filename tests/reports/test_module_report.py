@@ -195,3 +195,10 @@ def test_a_folder_whose_name_is_no_text_has_a_report() -> None:
     sequence = FakeSequence(source=Path(os.fsdecode(b"module\xff\x1b[2J")))
     html = render_report(made_inspection(sequence=sequence))
     assert html.encode().count(rb"module\udcff\x1b[2J") >= 1
+
+
+def test_what_was_guessed_is_called_guessed_though_module_json_says_a_part_of_it() -> None:
+    guessed = render_report(made_inspection(layout_guessed=True))
+    assert guessed.count(", guessed from the frames") == 3
+    assert ", from module.json" not in guessed
+    assert render_report(made_inspection()).count(", from module.json") == 2

@@ -12,6 +12,8 @@ import tifffile
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.photometry.photometry import Photometry
+from pv_inspect.photometry.vignetting import Vignetting
 from pv_inspect.results.read import read_result
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import write_result
@@ -66,6 +68,39 @@ def test_every_part_comes_back_as_it_was_written(tmp_path: Path) -> None:
         np.testing.assert_array_equal(got[used], want[used])
     assert same(again.registration.camera, inspection.registration.camera)
     assert again.seconds == inspection.seconds
+
+
+def test_what_was_found_out_about_the_sensor_comes_back(tmp_path: Path) -> None:
+    """A live cell of a reopened result is corrected as the run was."""
+    made = made_inspection()
+    assert made.reconstruction is not None
+    assert made.registration is not None
+    height, width = made.sequence.shape
+    rng = np.random.default_rng(2)
+    vignetting = Vignetting((-0.2, 0.03), (0.01, 0.02))
+    photometry = Photometry(
+        rng.uniform(0.8, 1.2, (height, width)).astype(np.float32),
+        rng.normal(0, 0.01, (len(made.sequence), width)).astype(np.float32),
+        vignetting,
+        vignetting.illumination(made.registration.camera, (height, width)),
+    )
+    reconstruction = replace(made.reconstruction, photometry=photometry)
+    write_result(replace(made, reconstruction=reconstruction), tmp_path / "out")
+    again = resume(read_result(tmp_path / "out"), made.sequence)
+    assert again.reconstruction is not None
+    assert same(again.reconstruction.photometry, photometry)
+    (tmp_path / "out" / "sensor_columns.tif").write_bytes(b"II")
+    with pytest.raises(InspectionError, match=r"sensor_columns\.tif is damaged"):
+        resume(read_result(tmp_path / "out"), made.sequence)
+
+
+@pytest.mark.parametrize("guessed", [True, False])
+def test_a_guessed_layout_is_still_guessed_when_the_result_is_taken_up(
+    tmp_path: Path, guessed: bool
+) -> None:
+    write_result(made_inspection(layout_guessed=guessed), tmp_path / "out")
+    again = resume(read_result(tmp_path / "out"), made_inspection().sequence)
+    assert again.layout_guessed is guessed
 
 
 def test_another_lambda_needs_the_reconstruction_only(tmp_path: Path) -> None:

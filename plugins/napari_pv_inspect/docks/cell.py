@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -32,6 +33,8 @@ from pv_inspect.reports.pictures import grey
 from pv_inspect.review import Cell
 
 __all__ = ["CellDock", "dock_of", "focus_gallery"]
+
+log = logging.getLogger(__name__)
 
 GALLERY = "Cells"
 NO_FRAMES = "No frames are open: this result folder is looked at without its sequence."
@@ -318,6 +321,9 @@ def _frame_or_sentence(subject: Subject, cell: Cell) -> tuple[Subject, Cell, Fra
         return subject, cell, frame_panels(inspection, cell)
     except InspectionError as error:
         return subject, cell, str(error)
+    except Exception as error:
+        log.exception("the best frame of a cell could not be shown")
+        return subject, cell, f"This failed unexpectedly ({type(error).__name__}: {error})."
 
 
 def _support_colours(support: np.ndarray) -> np.ndarray:

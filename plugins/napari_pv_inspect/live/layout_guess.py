@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 from napari.qt.threading import create_worker
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
@@ -11,6 +13,8 @@ from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["LayoutGuesser"]
+
+log = logging.getLogger(__name__)
 
 
 class LayoutGuesser:
@@ -59,4 +63,7 @@ def _guess_or_none(sequence: FrameSequence, settings: Settings) -> LayoutGuess |
     try:
         return guess_layout(sequence, settings, settings.module_at)
     except InspectionError:
+        return None
+    except Exception:
+        log.exception("rows and columns could not be guessed")
         return None
