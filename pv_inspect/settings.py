@@ -190,12 +190,12 @@ class Settings(BaseModel):
         ge=1,
         le=6,
     )
-    prior: Literal["wbtv", "btv", "tikhonov"] = _tunable(
-        "wbtv",
+    prior: Literal["sparse_curvature", "btv", "tikhonov"] = _tunable(
+        "sparse_curvature",
         Stage.RECONSTRUCT,
         "1",
-        "Prior of Eq. 7: weighted bilateral total variation of curvature, plain bilateral total "
-        "variation, or squared differences (Tikhonov).",
+        "Prior of Eq. 7: a group-sparse penalty on second differences, bilateral total variation, "
+        "or squared differences (Tikhonov).",
     )
     prior_weight: Finite | None = _tunable(
         None,

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 __all__ = [
     "Flag",
@@ -18,6 +18,7 @@ __all__ = [
     "Pair",
     "Place",
     "Record",
+    "StoredRecord",
     "Text",
     "Whole",
     "checked",
@@ -46,6 +47,24 @@ class Record(BaseModel):
     """What a file holds; entries that this version does not know are left alone."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
+
+
+class StoredRecord(Record):
+    """What this program keeps in a file of its own, with the number of the file's format."""
+
+    newest_format: ClassVar[int] = 1
+
+    format: Annotated[int, Field(strict=True, ge=1)] = 1
+
+    @field_validator("format")
+    @classmethod
+    def _known(cls, value: int) -> int:
+        if value > cls.newest_format:
+            raise ValueError(
+                f"it was written by a newer version of pv-inspect (format {value}, this one knows "
+                f"{cls.newest_format})"
+            )
+        return value
 
 
 _Model = TypeVar("_Model", bound=Record)

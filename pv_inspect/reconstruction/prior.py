@@ -1,4 +1,4 @@
-"""The prior R of Eq. 7: weighted total variation of curvature, plain BTV, Tikhonov.
+"""The prior R of Eq. 7: sparse curvature, bilateral total variation, Tikhonov.
 
 References
 ----------
@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from pv_inspect.common.compiling import compiled
 from pv_inspect.observation.stencil import OFFSETS, Quadratic, Stencil
 
-__all__ = ["Btv", "Curvature", "Prior", "PriorName", "WeightedBtv", "prior_named"]
+__all__ = ["Btv", "Curvature", "Prior", "PriorName", "SparseCurvature", "prior_named"]
 
 Image = NDArray[np.floating]
-PriorName = Literal["wbtv", "btv", "tikhonov"]
+PriorName = Literal["sparse_curvature", "btv", "tikhonov"]
 
 # Second differences d go along x, y and both diagonals. On a diagonal d is f_xx + f_yy +- 2 f_xy:
 # with a quarter each, the weighted sum of squares is the squared Frobenius norm of the Hessian plus
@@ -56,12 +56,12 @@ def prior_named(name: PriorName, contrast: float) -> Prior:
 
     Parameters
     ----------
-    name : {"wbtv", "btv", "tikhonov"}
+    name : {"sparse_curvature", "btv", "tikhonov"}
     contrast : float
         Unit that differences are measured in, full-scale units.
     """
-    if name == "wbtv":
-        return WeightedBtv(contrast)
+    if name == "sparse_curvature":
+        return SparseCurvature(contrast)
     if name == "btv":
         return Btv(contrast)
     return Btv(contrast, exponent=2.0)
@@ -99,8 +99,8 @@ class Curvature:
 
 
 @dataclass(frozen=True)
-class WeightedBtv:
-    """Weighted bilateral total variation of the second differences of an image.
+class SparseCurvature:
+    """A group-sparse penalty on the second differences of an image.
 
     Parameters
     ----------
@@ -118,11 +118,12 @@ class WeightedBtv:
 
         R(f) = sum_x (u^p - e^p) / p,   u^2 = e^2 + mean_(5 x 5 around x) sum_s w_s (d_s / c)^2.
 
-    The adaptive weights u^(p-2) of [1]_ are thus shared by neighbours: an edge or a finger is a
-    structure, not a single pixel, while noise is not. Second differences [3]_, because cells are
-    smooth shading with fine lines rather than flat patches: the spectrum of their images falls
-    with the fifth power of the frequency and more. First differences with the same penalty turn
-    texture into steps, at the minimiser by 1 to 3 dB worse than their own squares.
+    It takes from [1]_ the sparsity p and the adaptive weights u^(p-2), which are shared by
+    neighbours here: an edge or a finger is a structure, not a single pixel, while noise is not.
+    Second differences [3]_, because cells are smooth shading with fine lines rather than flat
+    patches: the spectrum of their images falls with the fifth power of the frequency and more.
+    First differences with the same penalty turn texture into steps, at the minimiser by 1 to 3 dB
+    worse than their own squares.
 
     R is concave in the squares d^2: the quadratic with the weights of f touches R at f and lies
     above it everywhere. L f is the gradient.
@@ -207,7 +208,7 @@ class Btv:
         return self.majoriser(image).apply(image)
 
     def majoriser(self, image: Image, factor: float = 1.0) -> Stencil:
-        """Quadratic f' L f / 2 that touches ``factor * R``; see `WeightedBtv.majoriser`."""
+        """Quadratic f' L f / 2 that touches ``factor * R``; see `SparseCurvature.majoriser`."""
         height, width = image.shape
         out = Stencil.zeros((height, width), image.dtype.type)
         _edges(image, factor / self.contrast**2 * self._weights, *self._numbers, out.planes)

@@ -34,7 +34,7 @@ __all__ = [
 Image = NDArray[np.floating]
 
 CANDIDATES = {
-    "wbtv": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
+    "sparse_curvature": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
     "btv": tuple(float(v) for v in 4.0 * 0.5 ** np.arange(10)),
     "tikhonov": tuple(float(v) for v in 0.2 * 0.5 ** np.arange(11)),
 }
@@ -89,7 +89,7 @@ def choose_prior_weight(
     camera: Camera,
     trials: Sequence[Trial],
     sigma: float,
-    name: PriorName = "wbtv",
+    name: PriorName = "sparse_curvature",
 ) -> Generator[float, None, tuple[float, tuple[tuple[float, float], ...]]]:
     """Find the prior weight that predicts held-out pixels best.
 
@@ -100,7 +100,7 @@ def choose_prior_weight(
         Parts of the module; their residuals are pooled.
     sigma : float
         Optical sigma, LR px.
-    name : {"wbtv", "btv", "tikhonov"}
+    name : {"sparse_curvature", "btv", "tikhonov"}
 
     Yields
     ------

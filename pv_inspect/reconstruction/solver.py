@@ -41,7 +41,7 @@ class Problem:
         lambda.
     brightness : float
         Typical intensity of the module, full-scale units.
-    prior_name : {"wbtv", "btv", "tikhonov"}
+    prior_name : {"sparse_curvature", "btv", "tikhonov"}
         R.
 
     Notes
@@ -56,7 +56,7 @@ class Problem:
     equations: NormalEquations
     prior_weight: float
     brightness: float
-    prior_name: PriorName = "wbtv"
+    prior_name: PriorName = "sparse_curvature"
 
     @property
     def prior(self) -> Prior:

@@ -63,6 +63,7 @@ def geometry_record(inspection: Inspection) -> dict[str, Any]:
     assert crossings is not None
     assert calibration is not None
     return {
+        "format": GeometryRecord.newest_format,
         "crossings": [vars(frame) for frame in crossings.frames],
         "calibration": {
             name: value

@@ -23,8 +23,7 @@ from pv_inspect.results.folder import (
     RESULT_JSON,
 )
 from pv_inspect.results.record import Result, _known, frame_from
-from pv_inspect.results.records import ResultRecord
-from pv_inspect.settings import Settings
+from pv_inspect.results.records import ResultRecord, settings_of
 from pv_inspect.storage.folders import read_steadily, recovered
 
 __all__ = ["check_unchanged", "read_result"]
@@ -68,7 +67,7 @@ def _read_result(folder: Path) -> Result:
         content, record = _record_in(path)
         layout = ModuleLayout(**record.layout.model_dump())
         camera = Camera(np.array(record.camera.K, np.float64), record.camera.kappa)
-        settings = Settings.create(**record.settings)
+        settings = settings_of(record.settings, record.format)
     grid = HrGrid(
         layout,
         record.pixels_per_cell[0],

@@ -15,7 +15,7 @@ from pv_inspect.cracks import CLASS_RULE, CellFeatures, CrackMap
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.records import FrameRecord
+from pv_inspect.results.records import FrameRecord, ResultRecord
 from pv_inspect.settings import Settings
 
 __all__ = ["FrameResult", "Result", "frame_from", "result_record"]
@@ -161,6 +161,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         )
     seconds = dict(inspection.seconds)
     record = {
+        "format": ResultRecord.newest_format,
         **reconstruction.grid.to_dict(),
         "rows": layout.rows,
         "cols": layout.cols,

@@ -5,15 +5,26 @@ Names are those of the files. What results of earlier versions do not say has a 
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from pv_inspect.common.records import Flag, Matrix3, Number, Pair, Place, Record, Text, Whole
+from pv_inspect.common.records import (
+    Flag,
+    Matrix3,
+    Number,
+    Pair,
+    Place,
+    Record,
+    StoredRecord,
+    Text,
+    Whole,
+)
 from pv_inspect.cracks import OperatingPoint
+from pv_inspect.settings import Settings
 
-__all__ = ["GeometryRecord", "ResultRecord"]
+__all__ = ["GeometryRecord", "ResultRecord", "settings_of"]
 
 _Open = Number | None
 _OpenPair = tuple[_Open, _Open]
@@ -98,8 +109,29 @@ class VignettingRecord(Record):
     deviations: Annotated[tuple[Number, ...], Field(max_length=20)]
 
 
-class ResultRecord(Record):
+def settings_of(stored: dict[str, Any], file_format: int) -> Settings:
+    """Return settings as a result folder keeps them.
+
+    Parameters
+    ----------
+    stored : dict
+    file_format : int
+        Before format 2 the default prior was called ``wbtv``.
+
+    Raises
+    ------
+    InspectionError
+        If a name is unknown or a value is outside its range.
+    """
+    if file_format < 2 and stored.get("prior") == "wbtv":
+        stored = {**stored, "prior": "sparse_curvature"}
+    return Settings.create(**stored)
+
+
+class ResultRecord(StoredRecord):
     """``result.json``."""
+
+    newest_format: ClassVar[int] = 2
 
     layout: LayoutRecord
     camera: CameraRecord
@@ -165,7 +197,7 @@ class FitRecord(Record):
     crossing_sigma_px: list[list[_Open]] | None = None
 
 
-class GeometryRecord(Record):
+class GeometryRecord(StoredRecord):
     """``geometry.json``."""
 
     crossings: list[FrameGeometry]

@@ -12,7 +12,7 @@ from pydantic import Field
 from pv_inspect.common.records import (
     Pair,
     Place,
-    Record,
+    StoredRecord,
     Text,
     Whole,
     checked,
@@ -64,7 +64,7 @@ def write_session(session: Session, folder: Path) -> bool:
     """
     try:
         with changing(folder):
-            replace_file(folder / SESSION_JSON, json.dumps(asdict(session), indent=1).encode())
+            replace_file(folder / SESSION_JSON, _content(session))
     except InspectionError:
         return False
     return True
@@ -91,7 +91,12 @@ def read_session(folder: Path) -> Session:
     return Session(found.cell, found.frame, found.page, found.centre, found.zoom or None)
 
 
-class _SessionRecord(Record):
+def _content(session: Session) -> bytes:
+    record = {"format": _SessionRecord.newest_format, **asdict(session)}
+    return json.dumps(record, indent=1).encode()
+
+
+class _SessionRecord(StoredRecord):
     cell: tuple[Place, Place] | None
     frame: Whole
     page: Text

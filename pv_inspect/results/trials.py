@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.records import Place, Record, Text, Whole, checked, json_from
+from pv_inspect.common.records import Place, StoredRecord, Text, Whole, checked, json_from
 from pv_inspect.errors import InspectionError
+from pv_inspect.results.records import settings_of
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import replace_file
 from pv_inspect.storage.reservations import changing
@@ -167,6 +168,7 @@ def write_trials(
 def _content(kept: Sequence[KeptTrial]) -> bytes:
     about = [
         {
+            "format": _TrialRecord.newest_format,
             "number": trial.number,
             "settings": trial.settings.model_dump(mode="json", exclude_none=True),
             "cell": trial.cell,
@@ -231,7 +233,9 @@ def read_trials(folder: Path) -> tuple[KeptTrial, ...]:
         ) from None
 
 
-class _TrialRecord(Record):
+class _TrialRecord(StoredRecord):
+    newest_format: ClassVar[int] = 2
+
     number: Whole
     settings: dict[str, Any]
     cell: tuple[Place, Place]
@@ -246,7 +250,7 @@ def _trial(record: _TrialRecord, picture: NDArray[np.generic]) -> KeptTrial:
         raise ValueError("a picture is none")
     return KeptTrial(
         record.number,
-        Settings.create(**record.settings),
+        settings_of(record.settings, record.format),
         np.nan_to_num(picture.astype(np.float32)),
         record.cell,
         record.caption,

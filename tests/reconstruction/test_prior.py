@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pv_inspect.observation.stencil import OFFSETS, Stencil
-from pv_inspect.reconstruction.prior import Btv, WeightedBtv, prior_named
+from pv_inspect.reconstruction.prior import Btv, SparseCurvature, prior_named
 
 PRIORS = (
-    WeightedBtv(0.2),
-    WeightedBtv(0.2, smoothing=0.5, exponent=0.5),
-    WeightedBtv(0.2, exponent=2.0),
+    SparseCurvature(0.2),
+    SparseCurvature(0.2, smoothing=0.5, exponent=0.5),
+    SparseCurvature(0.2, exponent=2.0),
     Btv(0.2),
     Btv(0.2, exponent=0.6),
     Btv(0.2, exponent=2.0),
@@ -25,7 +25,7 @@ def image(seed: int = 0, shape: tuple[int, int] = (9, 11)) -> np.ndarray:
 
 
 @pytest.mark.parametrize("prior", PRIORS)
-def test_gradient_is_the_derivative_of_the_objective(prior: WeightedBtv | Btv) -> None:
+def test_gradient_is_the_derivative_of_the_objective(prior: SparseCurvature | Btv) -> None:
     f, step = image(), 1e-6
     numerical = np.empty_like(f)
     for index in np.ndindex(f.shape):
@@ -40,7 +40,7 @@ def test_gradient_is_the_derivative_of_the_objective(prior: WeightedBtv | Btv) -
 @given(seed=st.integers(0, 10_000), size=st.floats(0.01, 2.0))
 @settings(deadline=None, max_examples=15)
 def test_majoriser_lies_above_the_objective_and_touches_it(
-    prior: WeightedBtv | Btv, seed: int, size: float
+    prior: SparseCurvature | Btv, seed: int, size: float
 ) -> None:
     f = image(seed)
     other = f + size * image(seed + 1)
@@ -51,25 +51,25 @@ def test_majoriser_lies_above_the_objective_and_touches_it(
 
 @pytest.mark.parametrize("prior", PRIORS)
 def test_constant_images_cost_nothing_and_slopes_cost_the_curvature_prior_nothing(
-    prior: WeightedBtv | Btv,
+    prior: SparseCurvature | Btv,
 ) -> None:
     flat = np.full((9, 11), 0.7)
     y, x = np.mgrid[:9, :11]
     slope = 0.1 * x - 0.05 * y
-    for f in (flat, slope) if isinstance(prior, WeightedBtv) else (flat,):
+    for f in (flat, slope) if isinstance(prior, SparseCurvature) else (flat,):
         assert prior.objective(f) == pytest.approx(0.0, abs=1e-10)
         np.testing.assert_allclose(prior.gradient(f), 0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize("prior", PRIORS)
-def test_prior_is_the_same_for_mirrored_and_turned_images(prior: WeightedBtv | Btv) -> None:
+def test_prior_is_the_same_for_mirrored_and_turned_images(prior: SparseCurvature | Btv) -> None:
     f = image()
     expected = prior.objective(f)
     for other in (f[::-1], f[:, ::-1], f.T, f + 3.0, -f):
         assert prior.objective(np.ascontiguousarray(other)) == pytest.approx(expected, rel=1e-10)
 
 
-@pytest.mark.parametrize("name", ["wbtv", "btv", "tikhonov"])
+@pytest.mark.parametrize("name", ["sparse_curvature", "btv", "tikhonov"])
 def test_prior_of_a_brighter_image_is_the_same_in_its_own_contrast(name: str) -> None:
     f = image()
     one = prior_named(name, 0.1).objective(f)  # type: ignore[arg-type]
@@ -78,10 +78,10 @@ def test_prior_of_a_brighter_image_is_the_same_in_its_own_contrast(name: str) ->
 
 def test_tikhonov_is_quadratic_and_the_others_are_not() -> None:
     f = image()
-    grown = {n: prior_named(n, 0.1) for n in ("wbtv", "btv", "tikhonov")}  # type: ignore[arg-type]
+    grown = {n: prior_named(n, 0.1) for n in ("sparse_curvature", "btv", "tikhonov")}  # type: ignore[arg-type]
     ratio = {n: prior.objective(10 * f) / prior.objective(f) for n, prior in grown.items()}
     assert ratio["tikhonov"] == pytest.approx(100.0)
-    assert ratio["wbtv"] < 20
+    assert ratio["sparse_curvature"] < 20
     assert ratio["btv"] < 20
 
 
@@ -96,7 +96,7 @@ def test_float32_majoriser_is_that_of_float64() -> None:
 
 @pytest.mark.parametrize("prior", PRIORS)
 def test_majoriser_is_a_symmetric_matrix_with_the_diagonal_that_it_says(
-    prior: WeightedBtv | Btv,
+    prior: SparseCurvature | Btv,
 ) -> None:
     f = image(shape=(37, 8))
     L = prior.majoriser(f)

@@ -112,4 +112,4 @@ def test_no_view_of_any_window_leaves_a_middle_weight_without_a_curve() -> None:
     grid = HrGrid.covering(LAYOUT, 22.0, 2.0)
     weight, curve = result_of(choose_prior_weight(CAMERA, [Trial(grid, ())], SIGMA))
     assert curve == ()
-    assert weight in CANDIDATES["wbtv"]
+    assert weight in CANDIDATES["sparse_curvature"]

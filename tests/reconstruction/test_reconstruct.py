@@ -93,10 +93,10 @@ def test_bicubic_shows_the_same_place_and_brightness(
     assert shown[inner].mean() == pytest.approx(scene[inner].mean(), rel=0.01)
 
 
-@pytest.mark.parametrize("prior", ["wbtv", "btv", "tikhonov"])
+@pytest.mark.parametrize("prior", ["sparse_curvature", "btv", "tikhonov"])
 def test_objective_falls_from_round_to_round(prior: str) -> None:
     sequence, registration, _ = recording(6)
-    weight = {"wbtv": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
+    weight = {"sparse_curvature": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
     settings = settings_with(max_iterations=600, prior=prior, prior_weight=weight)
     result = result_of(reconstruct(sequence, registration, settings))
     objective = np.array(result.objective)

@@ -188,3 +188,23 @@ def test_the_dark_frame_of_the_settings_is_used_again(frames: Path, tmp_path: Pa
     )
     write_result(replace(inspection), tmp_path / "out")
     assert reopen(read_result(tmp_path / "out")).black_level == 300.0
+
+
+def test_a_result_of_the_first_format_keeps_its_prior_under_the_new_name(tmp_path: Path) -> None:
+    write_result(made_inspection(), tmp_path / "out")
+    path = tmp_path / "out" / "result.json"
+    record = json.loads(path.read_text())
+    assert (record.pop("format"), record["settings"]["prior"]) == (2, "sparse_curvature")
+    record["settings"]["prior"] = "wbtv"
+    path.write_text(json.dumps(record))
+    assert read_result(tmp_path / "out").settings == Settings()
+
+
+@pytest.mark.parametrize("name", ["result.json", "geometry.json"])
+def test_a_file_of_a_newer_version_is_told_from_a_damaged_one(tmp_path: Path, name: str) -> None:
+    inspection = made_inspection()
+    write_result(inspection, tmp_path / "out")
+    path = tmp_path / "out" / name
+    path.write_text(json.dumps({**json.loads(path.read_text()), "format": 99}))
+    with pytest.raises(InspectionError, match=r"newer version of pv-inspect \(format 99"):
+        resume(read_result(tmp_path / "out"), inspection.sequence)

@@ -31,9 +31,10 @@ NEEDS_A_RUN = "Run once: the curve comes with the module image."
 LAMBDA_RANGE = (1e-4, 10.0)
 SIGMA_RANGE = (0.1, 3.0)
 PRIORS = {
-    "wbtv": (
+    "sparse_curvature": (
         "Sharp edges",
-        "Flattens noise and keeps cracks sharp; an edge once found is smoothed less (WBTV).",
+        "Flattens noise and keeps cracks sharp; an edge once found is smoothed less "
+        "(sparse curvature).",
     ),
     "btv": (
         "Sharp, plain",
