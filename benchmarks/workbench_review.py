@@ -43,7 +43,7 @@ class Paints(QObject):
 
 
 def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """Judge cells by keys, then walk through them in the large view."""
+    """HeldOutPixels cells by keys, then walk through them in the large view."""
     viewer, dock = opened(options.sequence)
     bench = dock.bench
     bench.model.confirm_layout()

@@ -16,8 +16,8 @@ import numpy as np
 
 from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.cells import CellTiles, cut_cells
-from pv_inspect.common.parallel import in_turn
-from pv_inspect.common.solver_errors import in_words
+from pv_inspect.common.parallel import one_at_a_time
+from pv_inspect.common.solver_errors import explained_errors
 from pv_inspect.common.work import Progress, result_of
 from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.detection.crossings import Crossings
@@ -115,7 +115,7 @@ def inspect_steps(
     settings = settings if settings is not None else Settings()
     begun = perf_counter()
     kept = start if start is not None and start.sequence is sequence else None
-    with in_words(Stage.DETECT.value):
+    with explained_errors(Stage.DETECT.value):
         layout, guessed = _layout(sequence, settings, kept)
     if kept is None:
         state = Inspection(sequence, settings, layout, layout_guessed=guessed)
@@ -137,7 +137,7 @@ def inspect_steps(
             while True:
                 begun = perf_counter()
                 try:
-                    with in_turn(), in_words(stage.value):
+                    with one_at_a_time(), explained_errors(stage.value):
                         event = next(work)
                 except StopIteration as end:
                     part: Part = end.value

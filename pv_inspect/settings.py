@@ -222,11 +222,11 @@ class Settings(BaseModel):
         "auto: straight motion during the exposure is estimated for every frame and undone; "
         "none: the frames are taken as still.",
     )
-    second_look: bool = _tunable(
+    second_pass: bool = _tunable(
         True,
         Stage.RECONSTRUCT,
         "1",
-        "Look at the frames twice: against a first module image the sensor's fixed pattern and "
+        "Two passes over the frames: against a first module image the sensor's fixed pattern and "
         "vignetting are found and taken out, and pixels that contradict it count for less.",
     )
     max_iterations: int = _tunable(

@@ -116,7 +116,7 @@ class Bundle:
             scale, before = fit.robust_scale(), scale
             if scale > 0.9 * before:
                 break
-        return replace(fit, scale=scale).with_honest_frames().refined()
+        return replace(fit, scale=scale).with_reweighted_frames().refined()
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,7 @@ class Fit:
             common=self.common * [ratio**2, 1.0, 1.0],
         )
 
-    def with_honest_frames(self) -> Fit:
+    def with_reweighted_frames(self) -> Fit:
         """Return the solution with sigma_px raised in frames whose residuals are far above it."""
         views = dict(self.bundle.views)
         for i, view in views.items():
@@ -304,7 +304,7 @@ class Fit:
             c += G.T @ r
         return NormalEquations(A, B, C, a, c)
 
-    def moved(self, homographies: Array, common: Array) -> Fit:
+    def stepped(self, homographies: Array, common: Array) -> Fit:
         """Return the solution moved by steps (n_frames, 8) and (n_free,)."""
         moved = {
             i: H + np.append(step, 0.0).reshape(3, 3)
@@ -364,7 +364,7 @@ def _adjust(fit: Fit, robust: bool) -> Fit:
             except np.linalg.LinAlgError:
                 step = (np.full(1, np.nan), np.zeros(0))
             if all(np.isfinite(part).all() for part in step):
-                trial = fit.moved(*step)
+                trial = fit.stepped(*step)
                 new_cost = trial.cost(robust)
                 if new_cost < cost:
                     break

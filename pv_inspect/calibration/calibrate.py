@@ -25,7 +25,7 @@ from pv_inspect.calibration.focal_length import (
 from pv_inspect.calibration.frame_fits import (
     FrameReasons,
     bundle_of,
-    fit_without_strangers,
+    fit_without_outlier_frames,
     in_unit,
     starting_homographies,
     unit_transform,
@@ -140,7 +140,7 @@ def calibrate(
         settings.kappa if known is None else known.kappa,
     )
     cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
-    fit = fit_without_strangers(bundle, starts, cell, frames)
+    fit = fit_without_outlier_frames(bundle, starts, cell, frames)
 
     convention = settings.focal_length_px is None and known is None
     if convention:

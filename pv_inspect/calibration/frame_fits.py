@@ -21,7 +21,7 @@ __all__ = [
     "MIN_POINTS",
     "FrameReasons",
     "bundle_of",
-    "fit_without_strangers",
+    "fit_without_outlier_frames",
     "in_unit",
     "starting_homographies",
     "unit_transform",
@@ -145,13 +145,13 @@ def starting_homographies(
     return starts
 
 
-def fit_without_strangers(
+def fit_without_outlier_frames(
     bundle: Bundle, starts: dict[int, Array], cell: float, frames: FrameReasons
 ) -> Fit:
     """Fit all frames; take out those that do not fit and fit the others again."""
     fit = bundle.fit(starts)
     while True:
-        strangers = _strangers(fit, cell)
+        strangers = _outlier_frames(fit, cell)
         if not strangers:
             return fit
         for i, reason in strangers.items():
@@ -163,7 +163,7 @@ def fit_without_strangers(
         fit = fit.bundle.without(strangers).fit(kept)
 
 
-def _strangers(fit: Fit, cell: float) -> dict[int, str]:
+def _outlier_frames(fit: Fit, cell: float) -> dict[int, str]:
     """Frames whose crossing points do not fit the module, with the reason.
 
     ``cell`` is the shorter side of a cell in units of the plane of the fit.

@@ -15,7 +15,7 @@ from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.calibration.frame_fits import (
     FrameReasons,
     bundle_of,
-    fit_without_strangers,
+    fit_without_outlier_frames,
     starting_homographies,
     unit_transform,
     views_of,
@@ -55,7 +55,7 @@ def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calib
         starts = starting_homographies(views, Camera(calibration.camera.K, 0.0), frames)
         bundle = bundle_of(calibration.camera, views, 0.0, calibration.camera.kappa)
         cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
-        fit = fit_without_strangers(bundle, starts, cell, frames)
+        fit = fit_without_outlier_frames(bundle, starts, cell, frames)
         homography, rms = fit.homographies[0] @ to_unit, fit.rms_px(0)
     homographies, rms_px = calibration.homographies.copy(), calibration.rms_px.copy()
     used = calibration.used.copy()

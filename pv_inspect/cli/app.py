@@ -85,7 +85,7 @@ def cracks(
     Writes for each image a map of the crack probability (float32 TIFF of the same size and stem)
     and cells.csv with the features of all cells.
     """
-    with one_sentence_on_errors(debug) as course:
+    with one_sentence_on_errors(debug) as cleanup:
         given = {
             "crack_threshold": crack_threshold,
             "detector": detector,
@@ -93,7 +93,7 @@ def cracks(
             "max_frame_mpx": max_frame_mpx,
         }
         settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
-        if not cli_cracks.cracks_of(images, out, settings, model, course, quiet=quiet):
+        if not cli_cracks.cracks_of(images, out, settings, model, cleanup, quiet=quiet):
             raise typer.Exit(1)
 
 
@@ -112,14 +112,14 @@ def review(
 
     Verdicts are given in the workbench; what is known about the module can be stored here.
     """
-    with one_sentence_on_errors(debug) as course:
+    with one_sentence_on_errors(debug) as cleanup:
         module = {
             "serial_number": serial,
             "current_a": current,
             "exposure_s": exposure,
             "temperature_c": temperature,
         }
-        cli_review.review_of(folder, module, course, export=export, quiet=quiet)
+        cli_review.review_of(folder, module, cleanup, export=export, quiet=quiet)
 
 
 app.command()(simulate)

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
-from pv_inspect.cli.course import Course
+from pv_inspect.cli.cleanup import Cleanup
 from pv_inspect.common.signals import stop_code, stop_word
 from pv_inspect.errors import InspectionError, one_sentence
 from pv_inspect.settings import Settings
@@ -79,16 +79,16 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but er
 
 
 @contextmanager
-def one_sentence_on_errors(debug: bool) -> Iterator[Course]:
+def one_sentence_on_errors(debug: bool) -> Iterator[Cleanup]:
     """Turn whatever goes wrong into one sentence on stderr and an exit code."""
-    course = Course()
+    cleanup = Cleanup()
     try:
-        with course:
-            yield course
+        with cleanup:
+            yield cleanup
     except InspectionError as error:
         fail(str(error), 1)
     except KeyboardInterrupt as stop:
-        fail(f"{stop_word(stop)}; {course.said}.", stop_code(stop))
+        fail(f"{stop_word(stop)}; {cleanup.said}.", stop_code(stop))
     except MemoryError:
         fail("Not enough memory: lower the magnification or close other programs.", 1)
     except (typer.Exit, typer.Abort):

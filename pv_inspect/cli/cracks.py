@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pv_inspect.cli.course import Course
+from pv_inspect.cli.cleanup import Cleanup
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import replace_file
@@ -41,7 +41,7 @@ def cracks_of(
     out: Path,
     settings: Settings,
     model: Path | None,
-    course: Course,
+    cleanup: Cleanup,
     *,
     quiet: bool,
 ) -> bool:
@@ -55,7 +55,7 @@ def cracks_of(
     settings : Settings
     model : Path, optional
         See `NetworkDetector`.
-    course : Course
+    cleanup : Cleanup
         Holds ``out`` until the command ends.
     quiet : bool
         Print nothing but errors.
@@ -95,8 +95,8 @@ def cracks_of(
     detector = NetworkDetector(model) if model is not None else detector_of(settings)
     cells: list[PlainCell] = []
     refused = 0
-    course.hold(reserved_files(place))
-    course.so_far = lambda: (
+    cleanup.hold(reserved_files(place))
+    cleanup.written_so_far = lambda: (
         f"the maps of {len(cells)} of {len(files)} images are in {out}, without a table"
         if cells
         else "nothing was written"

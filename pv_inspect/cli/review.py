@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pv_inspect.cli.course import Course
+from pv_inspect.cli.cleanup import Cleanup
 from pv_inspect.errors import printable
 
 __all__ = ["Current", "Export", "Exposure", "Folder", "Serial", "Temperature", "review_of"]
@@ -35,7 +35,7 @@ Temperature = Annotated[
 
 
 def review_of(
-    folder: Path, module: dict[str, Any], course: Course, *, export: bool, quiet: bool
+    folder: Path, module: dict[str, Any], cleanup: Cleanup, *, export: bool, quiet: bool
 ) -> None:
     """Tell how far the review of a result is; store module data and export if asked for.
 
@@ -45,7 +45,7 @@ def review_of(
         Result folder.
     module : dict
         Fields of `ModuleData` to change; None leaves one as it is.
-    course : Course
+    cleanup : Cleanup
     export : bool
     quiet : bool
         Print nothing.
@@ -62,8 +62,8 @@ def review_of(
 
     result = read_result(folder)
     stored: list[str] = []
-    course.so_far = lambda: (" and ".join(stored)) or "nothing was written"
-    course.begin()
+    cleanup.written_so_far = lambda: (" and ".join(stored)) or "nothing was written"
+    cleanup.begin()
     with ReviewStore(result.folder) as store:
         changes = {name: value for name, value in module.items() if value is not None}
         if changes:

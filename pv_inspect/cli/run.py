@@ -74,8 +74,8 @@ def run(
     flat_frame: Annotated[Path | None, option("flat_frame")] = None,
     max_frame_mpx: Annotated[float | None, option("max_frame_mpx")] = None,
     max_frames: Annotated[int | None, option("max_frames")] = None,
-    second_look: Annotated[
-        bool | None, option("second_look", "--second-look/--no-second-look")
+    second_pass: Annotated[
+        bool | None, option("second_pass", "--second-pass/--no-second-pass")
     ] = None,
     settings_file: Annotated[
         Path | None,
@@ -94,7 +94,7 @@ def run(
     Exit code: 0 if the result is whole and without doubt; 3 if it is written but must not be relied
     on (the summary begins with the reason); 1 if there is none.
     """
-    with one_sentence_on_errors(debug) as course:
+    with one_sentence_on_errors(debug) as cleanup:
         # Imported here: --help and --version answer at once.
         from pv_inspect.calibration.camera_file import read_camera
         from pv_inspect.inspection.summary import summary
@@ -125,7 +125,7 @@ def run(
             "flat_frame": flat_frame,
             "max_frame_mpx": max_frame_mpx,
             "max_frames": max_frames,
-            "second_look": second_look,
+            "second_pass": second_pass,
             "max_iterations": max_iterations,
             "crack_threshold": crack_threshold,
             "detector": detector,
@@ -133,9 +133,9 @@ def run(
         }
         settings = Settings.from_toml(settings_file) if settings_file else Settings()
         settings = settings.changed(**{k: v for k, v in given.items() if v is not None})
-        place = course.hold(reserve_result(out))
+        place = cleanup.hold(reserve_result(out))
         check_not_inside(out, sequence, "The frames")
-        course.so_far = place.so_far
+        cleanup.written_so_far = place.so_far
         use_threads(threads)
         begun = perf_counter()
         references = settings.dark_frame, settings.flat_frame

@@ -52,7 +52,7 @@ def simulate(
 
     Writes frames/, module.json and truth/ (truth.json, hr.png, cracks.png).
     """
-    with one_sentence_on_errors(debug) as course:
+    with one_sentence_on_errors(debug) as cleanup:
         from pv_inspect.progress.follow import follow
         from pv_inspect.simulate import SimulationSettings, reserve_sequence, write_sequence
         from pv_inspect.simulate import simulate as simulate_sequence
@@ -73,7 +73,7 @@ def simulate(
         }
         values.update(_assignment(text) for text in more or [])
         settings = SimulationSettings(**values)
-        course.hold(reserve_sequence(out))
+        cleanup.hold(reserve_sequence(out))
         sequence = follow(simulate_sequence(settings), "simulating", quiet=quiet)
         write_sequence(sequence, out)
         if not quiet:

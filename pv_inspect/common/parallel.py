@@ -14,7 +14,7 @@ from numba.np.ufunc.parallel import threading_layer
 
 from pv_inspect.common.compiling import compiled
 
-__all__ = ["in_turn", "mapped"]
+__all__ = ["one_at_a_time", "parallel_map"]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -22,7 +22,7 @@ B = TypeVar("B")
 _turn = RLock()
 
 
-def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
+def parallel_map(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
     """Return ``[function(item) for item in items]``, several items at once.
 
     Small pieces of work gain more from this than from threads inside of each: compiled code that
@@ -43,7 +43,7 @@ def mapped(function: Callable[[A], B], items: Iterable[A]) -> list[B]:
 
 
 @contextmanager
-def in_turn() -> Iterator[None]:
+def one_at_a_time() -> Iterator[None]:
     """Let one thread at a time work in here, if compiled code may not be entered from several.
 
     Where numba has no OpenMP it would end the process: when a cell is shown while a run goes on.

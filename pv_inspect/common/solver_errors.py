@@ -10,14 +10,14 @@ import numpy as np
 
 from pv_inspect.errors import InspectionError
 
-__all__ = ["NUMERICAL", "in_words"]
+__all__ = ["NUMERICAL", "explained_errors"]
 
 NUMERICAL = (np.linalg.LinAlgError, cv2.error, FloatingPointError, OverflowError, ZeroDivisionError)
 """What libraries raise when numbers do not determine what is asked for."""
 
 
 @contextmanager
-def in_words(stage: str) -> Iterator[None]:
+def explained_errors(stage: str) -> Iterator[None]:
     """Turn what a solver raises while a stage works into one sentence.
 
     Parameters

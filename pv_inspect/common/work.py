@@ -1,7 +1,7 @@
 """Long work: a generator that yields how far it is and returns what it made.
 
 Every stage of the method yields `Progress`. A part of a stage yields the bare share of its own
-work, which `relayed` turns into the progress of the whole. Closing a generator cancels the work.
+work, which `forwarded` turns into the progress of the whole. Closing a generator cancels the work.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Progress", "relayed", "result_of"]
+__all__ = ["Progress", "forwarded", "result_of"]
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -39,7 +39,7 @@ class Progress:
     image: NDArray[np.float32] | None = None
 
 
-def relayed(work: Generator[A, None, T], tell: Callable[[A], B]) -> Generator[B, None, T]:
+def forwarded(work: Generator[A, None, T], tell: Callable[[A], B]) -> Generator[B, None, T]:
     """Do a part of one's work by another generator, which says in its own words how far it is.
 
     Parameters
@@ -81,7 +81,7 @@ def result_of(work: Generator[A, None, T], each: Callable[[A], Any] | None = Non
     object
         What the work returned.
     """
-    steps = relayed(work, each or (lambda _: None))
+    steps = forwarded(work, each or (lambda _: None))
     while True:
         try:
             next(steps)

@@ -127,7 +127,7 @@ class CellFeatures:
 
     @property
     def has_marks(self) -> bool:
-        """Whether there is at least one mark that a crack could have made, earned or not."""
+        """Whether there is at least one mark that a crack could have made, supported or not."""
         return self.crack_instances > 0
 
     @property
@@ -146,7 +146,7 @@ class CellFeatures:
         return self.dark_area_share >= _DARK_CELL_SHARE
 
     @property
-    def earned(self) -> bool:
+    def supported(self) -> bool:
         """Whether less than half of the cracks (of a cell without: of its area) is unsupported.
 
         True if no support map is known.

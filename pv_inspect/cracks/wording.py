@@ -10,7 +10,7 @@ from pv_inspect.cracks.features import UNSUPPORTED, CellFeatures
 __all__ = [
     "CLASS_RULE",
     "CLASS_WORDS",
-    "EARNED_RULE",
+    "SUPPORT_RULE",
     "class_text",
     "described",
     "length_text",
@@ -41,14 +41,14 @@ CLASS_WORDS = {
     "B": "cracks, a part is badly connected",
     "A": "cracks, all parts are connected",
     "unknown": "cracks, but no busbars were found",
-    "unsure": "not earned by the frames",
+    "unsure": "not supported by the frames",
     "dark": "cracks are not judged",
     "none": "no cracks",
 }
-EARNED_RULE = (
-    "Not earned by the frames: at least half of the crack length, or of the area of a cell without "
-    f"cracks, lies on pixels with a support under {UNSUPPORTED:g}; frames reach that much even if "
-    "all stand in one place."
+SUPPORT_RULE = (
+    "Not supported by the frames: at least half of the crack length, or of the area of a cell "
+    f"without cracks, lies on pixels with a support under {UNSUPPORTED:g}; frames reach that much "
+    "even if all stand in one place."
 )
 
 
@@ -109,9 +109,9 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
     ]
     if not math.isnan(cell.unsupported_share):
         where = "crack length" if cell.has_marks else "cell"
-        earned = "yes" if cell.earned else "no"
+        supported = "yes" if cell.supported else "no"
         share = f"{cell.unsupported_share:.0%} of the {where} is unsupported"
-        pairs.append(("earned by the frames", f"{earned}, {share}"))
+        pairs.append(("supported by the frames", f"{supported}, {share}"))
     return pairs
 
 

@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.parallel import mapped
+from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
@@ -37,7 +37,7 @@ from pv_inspect.detection.single_frame import (
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
-from pv_inspect.sequence.copies import copies_told
+from pv_inspect.sequence.copies import copy_reasons
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["detect"]
@@ -99,7 +99,7 @@ def detect(
         search = detect(reduced.as_sequence(), layout, reduced.point(inside))
         return (yield from enlarged(search, factor))
     count = len(sequence)
-    copied = copies_told(sequence.copies, sequence.names)
+    copied = copy_reasons(sequence.copies, sequence.names)
     found: dict[int, Found] = {}
     reasons: dict[int, OutlineError] = {}
     point = inside
@@ -117,7 +117,7 @@ def detect(
             ask=not found or bool(_votes(reasons)),
             thoroughly=_tried(reasons) < PROBED_TOGETHER,
         )
-        for k, outcome in zip(batch, mapped(look, images), strict=True):
+        for k, outcome in zip(batch, parallel_map(look, images), strict=True):
             if isinstance(outcome, OutlineError):
                 reasons[k] = outcome
                 continue

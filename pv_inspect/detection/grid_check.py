@@ -101,7 +101,7 @@ def grid_fault(
         Part of a sentence; empty if nothing does.
     """
     around = ModuleLayout(layout.rows + 2 * RING, layout.cols + 2 * RING, layout.cell_aspect)
-    moved = _moved(pose, -RING, -RING / layout.cell_aspect)
+    moved = _shifted(pose, -RING, -RING / layout.cell_aspect)
     levels, background = _brightness(image, around, moved)
     inside = (slice(RING, -RING), slice(RING, -RING))
     relative = _relative(levels, background, levels[inside])
@@ -273,7 +273,7 @@ def _search(layout: ModuleLayout, pose: Pose) -> float:
     return max(SEARCH_UNITS, MIN_SEARCH_PX / float(scale))
 
 
-def _moved(pose: Pose, x: float, y: float) -> Pose:
+def _shifted(pose: Pose, x: float, y: float) -> Pose:
     shift = np.array([[1.0, 0, x], [0, 1, y], [0, 0, 1]])
     return Pose(pose.camera, pose.homography @ shift)
 

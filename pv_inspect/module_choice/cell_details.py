@@ -57,7 +57,7 @@ class CellDetails:
             values, np.rot90(self.seen, quarter_turns), np.rot90(self.noise, quarter_turns)
         )
 
-    def moved(self, rows: int, cols: int) -> CellDetails:
+    def shifted(self, rows: int, cols: int) -> CellDetails:
         """Return the same with every cell so many rows and columns further; others are not seen."""
         height, width = self.seen.shape
         to = (_lines(height, rows), _lines(width, cols))

@@ -60,7 +60,7 @@ class Placement:
 
     def of(self, details: CellDetails) -> CellDetails:
         """Return the cells of a frame at their places."""
-        return details.moved(self.rows, self.cols).turned(self.turn)
+        return details.shifted(self.rows, self.cols).turned(self.turn)
 
     def after(self, quarter_turns: int) -> Placement:
         """Return this placement for a frame that was turned before."""
@@ -120,10 +120,10 @@ def group_frames(
     details = cell_details(sequence, calibration, frames)
     turns = _possible_turns(layout)
     found = _Clusters(compare_details(details, turns), turns).result(frames)
-    return _with_moved_grids(found, dict(zip(frames, details, strict=True)), turns)
+    return _with_shifted_grids(found, dict(zip(frames, details, strict=True)), turns)
 
 
-def _with_moved_grids(
+def _with_shifted_grids(
     found: FrameGroups, details: dict[int, CellDetails], turns: tuple[int, ...]
 ) -> FrameGroups:
     """Join groups that show one module, but with the grid a line of cells beside the other's.
@@ -156,7 +156,7 @@ def _move_between(
 ) -> Placement | None:
     """Find by how many cells the grid of the second frames lies off that of the first."""
     moves = [(1, 0), (-1, 0), (0, 1), (0, -1)]
-    moved = [frame.moved(*move) for move in moves for frame in second]
+    moved = [frame.shifted(*move) for move in moves for frame in second]
     if not all(frame.seen.any() for frame in moved):
         return None
     pairs = compare_details([*first, *moved], turns)

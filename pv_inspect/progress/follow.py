@@ -15,7 +15,7 @@ from rich.table import Column
 
 from pv_inspect.common import signals
 from pv_inspect.common.compiling import cache_problem
-from pv_inspect.common.work import Progress, relayed, result_of
+from pv_inspect.common.work import Progress, forwarded, result_of
 from pv_inspect.inspection.inspection import Step
 from pv_inspect.progress.notebook_bar import NotebookBar, in_notebook
 from pv_inspect.settings import Stage
@@ -42,7 +42,7 @@ def follow(work: Generator[Step | Progress, None, T], what: str = "", quiet: boo
     object
         What the work returned.
     """
-    return _drive(relayed(work, lambda event: _shown(event, what)), quiet)
+    return _drive(forwarded(work, lambda event: _shown(event, what)), quiet)
 
 
 @dataclass(frozen=True)

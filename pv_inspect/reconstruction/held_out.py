@@ -20,7 +20,7 @@ from pv_inspect.observation.motion_blur import STILL, MovingFrame
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.psf import Blur
 
-__all__ = ["Judge", "View", "cut_view", "equations_of", "model_of", "seen_part", "split"]
+__all__ = ["HeldOutPixels", "View", "cut_view", "equations_of", "model_of", "seen_part", "split"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -130,7 +130,7 @@ def equations_of(
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class HeldOutPixels:
     """Held-out pixels, placed on the HR grid.
 
     Parameters
@@ -145,7 +145,9 @@ class Judge:
     pixels: tuple[tuple[MovingFrame, Image, Image], ...]
 
     @classmethod
-    def of(cls, model: ObservationModel, views: Sequence[View], test: Sequence[Image]) -> Judge:
+    def of(
+        cls, model: ObservationModel, views: Sequence[View], test: Sequence[Image]
+    ) -> HeldOutPixels:
         """Place the pixels whose weight in ``test`` is not 0."""
         placed = []
         for view, weights in zip(views, test, strict=True):

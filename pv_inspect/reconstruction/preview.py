@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.parallel import in_turn
+from pv_inspect.common.parallel import one_at_a_time
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
@@ -35,7 +35,7 @@ from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
-__all__ = ["Preview", "Region", "RegionImage", "bent"]
+__all__ = ["Preview", "Region", "RegionImage", "with_kappa"]
 
 Image = NDArray[np.float32]
 
@@ -54,7 +54,7 @@ def _one_thread() -> Iterator[None]:
         numba.set_num_threads(threads)
 
 
-def bent(registration: Registration, kappa: float) -> Registration:
+def with_kappa(registration: Registration, kappa: float) -> Registration:
     """Return the registration with another kappa, every crossing point as near as it can be.
 
     Parameters
@@ -166,7 +166,7 @@ class Preview:
         else:
             scale = registration.lr_px_per_unit
             self._known_grid = HrGrid.covering(registration.layout, scale, 1.0)
-            with in_turn():
+            with one_at_a_time():
                 self._known = module_mean(sequence, registration, self._known_grid)[0]
         self._brightness = brightness_of(self._known, self._known_grid)
         self._seen: tuple[Region, str] | None = None
@@ -176,7 +176,7 @@ class Preview:
         self._image: Image | None = None
         self._image_grid: HrGrid | None = None
 
-    def moved(self, registration: Registration) -> Preview:
+    def with_registration(self, registration: Registration) -> Preview:
         """Return the preview for another geometry, after a change of kappa say.
 
         It starts from the image that this one has; what is known of the whole module stays.
@@ -214,7 +214,7 @@ class Preview:
         """
         steps = self._steps(region, settings)
         while True:
-            with in_turn(), _one_thread():
+            with one_at_a_time(), _one_thread():
                 shown = next(steps, None)
             if shown is None:
                 return
@@ -232,7 +232,7 @@ class Preview:
             self._built_for = (grid, sigma)
         start = self._image
         if start is None or self._image_grid != grid:
-            start = self._look(grid)
+            start = self._known_on(grid)
         problem = Problem(self._equations, weight, self._brightness, settings.prior)
         work = minimise(problem, start, settings.max_iterations)
         finished = False
@@ -311,7 +311,7 @@ class Preview:
         model = ObservationModel.build(self._views[0].rays, camera, homographies, grid, sigma)
         equations = NormalEquations.empty(model)
         # The mean of the frames is too blurred to tell which pixels contradict it.
-        blurred = None if self._whole is None else model.blur.apply(self._look(grid))
+        blurred = None if self._whole is None else model.blur.apply(self._known_on(grid))
         for view in self._views:
             weights = view.weights
             if blurred is not None:
@@ -321,7 +321,7 @@ class Preview:
             equations.add(view.H, view.g, weights, view.motion, view.rays)
         return equations
 
-    def _look(self, grid: HrGrid) -> Image:
+    def _known_on(self, grid: HrGrid) -> Image:
         """What is known of the whole module, on a grid."""
         known = self._known_grid
         # Pixels of the known image under the first pixels of the grid, and their pitch.

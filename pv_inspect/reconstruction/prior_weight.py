@@ -16,11 +16,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.parallel import mapped
+from pv_inspect.common.parallel import parallel_map
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.observation.normal_equations import NormalEquations
-from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
+from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
 from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
@@ -118,12 +118,12 @@ def choose_prior_weight(
         sees a window.
     """
     seen = [trial for trial in trials if trial.views]
-    runs = mapped(lambda trial: _Run.of(camera, trial, sigma, name), seen)
+    runs = parallel_map(lambda trial: _Run.of(camera, trial, sigma, name), seen)
     runs = [run for run in runs if run.equations.n_pixels]
     candidates = CANDIDATES[name]
     scores: list[float] = []
     for k, weight in enumerate(candidates):
-        pooled = np.array(mapped(partial(_Run.error, weight=weight), runs))
+        pooled = np.array(parallel_map(partial(_Run.error, weight=weight), runs))
         if not len(pooled) or pooled[:, 1].sum() == 0:
             return typical_prior_weight(name), ()
         scores.append(float(pooled[:, 0].sum() / pooled[:, 1].sum()))
@@ -139,7 +139,7 @@ class _Run:
     """A window in the course of its reconstructions."""
 
     equations: NormalEquations
-    judges: tuple[Judge, ...]
+    held_out: tuple[HeldOutPixels, ...]
     name: PriorName
     brightness: float
     image: Image
@@ -150,12 +150,12 @@ class _Run:
         grid, views = trial.grid, trial.views
         train, test = split(views, _HELD_OUT, _SEED)
         equations = equations_of(model_of(camera, grid, views, sigma), views, train)
-        judges = tuple(
-            Judge.of(model_of(camera, grid, views, sigma * factor), views, test)
+        held_out = tuple(
+            HeldOutPixels.of(model_of(camera, grid, views, sigma * factor), views, test)
             for factor in (1.0 - _PSF_ERROR, 1.0 + _PSF_ERROR)
         )
         guess = first_guess(equations)
-        return cls(equations, judges, name, _typical(guess), guess)
+        return cls(equations, held_out, name, _typical(guess), guess)
 
     def error(self, weight: float) -> tuple[float, int]:
         """Reconstruct with a weight from where the last one ended; squared residuals and number."""
@@ -163,8 +163,8 @@ class _Run:
         for state in minimise(problem, self.image, self.steps, tolerance=0.0):
             self.image = state.image
         self.steps = _NEXT_STEPS
-        total = sum(judge.residual(self.image) for judge in self.judges)
-        return total, sum(judge.n_pixels for judge in self.judges)
+        total = sum(held_out.residual(self.image) for held_out in self.held_out)
+        return total, sum(held_out.n_pixels for held_out in self.held_out)
 
 
 def _typical(image: Image) -> float:

@@ -12,12 +12,12 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.parallel import mapped
+from pv_inspect.common.parallel import parallel_map
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.observation.motion_blur import detail_left
 from pv_inspect.observation.normal_equations import NormalEquations
-from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
+from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
 __all__ = ["estimate_psf_sigma", "window_of"]
@@ -105,18 +105,18 @@ def estimate_psf_sigma(
     train, test = split(views, _HELD_OUT, _SEED)
     n_judged = max(sum(int((weights > 0).sum()) for weights in test), 1)
     scores: dict[tuple[float, float], float] = {}
-    parts: dict[float, tuple[NormalEquations, Judge]] = {}
+    parts: dict[float, tuple[NormalEquations, HeldOutPixels]] = {}
 
     def score(sigma: float, weight: float) -> float:
         if sigma not in parts:
             model = model_of(camera, window, views, sigma)
-            parts[sigma] = equations_of(model, views, train), Judge.of(model, views, test)
+            parts[sigma] = equations_of(model, views, train), HeldOutPixels.of(model, views, test)
         residual = _held_out_residual(*parts[sigma], weight)
         return residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
 
-    def judge(sigmas: list[float], weight: float) -> list[float]:
+    def held_out(sigmas: list[float], weight: float) -> list[float]:
         new = [a for a in sigmas if (a, weight) not in scores]
-        for a, value in zip(new, mapped(lambda a: score(a, weight), new), strict=True):
+        for a, value in zip(new, parallel_map(lambda a: score(a, weight), new), strict=True):
             scores[a, weight] = value
         return [scores[a, weight] for a in sigmas]
 
@@ -125,7 +125,7 @@ def estimate_psf_sigma(
         sigma = start
         while True:
             around = [sigma + d for d in (-_STEP, 0.0, _STEP)]
-            found = judge(around, weight)
+            found = held_out(around, weight)
             best = int(np.argmin(found))
             if best == 1 or not _RANGE[0] < around[best] < _RANGE[1]:
                 return found[1], sigma
@@ -145,14 +145,16 @@ def estimate_psf_sigma(
     return _vertex({s: value for (s, w), value in scores.items() if w == weight})
 
 
-def _held_out_residual(equations: NormalEquations, judge: Judge, prior_weight: float) -> float:
+def _held_out_residual(
+    equations: NormalEquations, held_out: HeldOutPixels, prior_weight: float
+) -> float:
     """Mean squared prediction error of the held-out pixels in units of the noise."""
     guess = image = first_guess(equations)
     # A prior that sharpens edges by itself is content with too wide a PSF.
     problem = Problem(equations, prior_weight, float(np.median(guess)), "tikhonov")
     for state in minimise(problem, guess, _ITERATIONS, tolerance=0.0):
         image = state.image
-    return judge.residual(image) / max(judge.n_pixels, 1)
+    return held_out.residual(image) / max(held_out.n_pixels, 1)
 
 
 def _vertex(scores: dict[float, float]) -> float:

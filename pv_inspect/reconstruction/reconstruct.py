@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.work import Progress, relayed
+from pv_inspect.common.work import Progress, forwarded
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
@@ -46,15 +46,15 @@ Image = NDArray[np.float32]
 
 
 TYPICAL_SIGMA_LR_PX = 0.45
-"""Optical sigma that the first look at the module assumes."""
-# Frames that the first look and the PSF are estimated from.
+"""Optical sigma that the first draft at the module assumes."""
+# Frames that the first draft and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
 _TYPICAL_STEPS = 15.0
 # The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
 _PSF_MAGNIFICATION = 4.0
 # Solver steps to the module image that the sensor is judged by.
-_FIRST_LOOK = 10
+_DRAFT_STEPS = 10
 # A finer one takes a third more steps for less than 0.05 dB.
 _TOLERANCE = 1.5e-3
 
@@ -70,7 +70,7 @@ def reconstruct(
     registration : Registration
     settings : Settings
         ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
-        None), ``motion_blur``, ``second_look`` and ``max_iterations`` count here.
+        None), ``motion_blur``, ``second_pass`` and ``max_iterations`` count here.
 
     Yields
     ------
@@ -90,7 +90,7 @@ def reconstruct(
     if used.size == 0:
         raise InspectionError(
             f"None of the {len(sequence)} frames could be registered, so there is nothing to "
-            "reconstruct: look at the reasons given for the frames."
+            "reconstruct: draft at the reasons given for the frames."
         )
     grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, settings.magnification)
     rays = SensorRays.of(registration.camera, sequence.shape)
@@ -101,21 +101,21 @@ def reconstruct(
         motion = estimate_motion(sequence, registration)
     require_memory(sequence.shape, int(used.size), grid, motion)
     photometry: Photometry | None = None
-    look: Image | None = None
-    if settings.second_look:
+    draft: Image | None = None
+    if settings.second_pass:
         known = settings.psf_sigma_lr_px or TYPICAL_SIGMA_LR_PX
         first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
-        photometry, look = yield from _first_look(first, used, settings)
+        photometry, draft = yield from _draft(first, used, settings)
         del first
         release()
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
         sigma = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
-    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, look)
+    data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, draft)
     windows = windows_of(grid) if settings.prior_weight is None else []
     trials = yield from _all_added(data, used, windows, 0.4, 0.5)
     _need_pixels(data)
-    start = first_guess(data.equations) if look is None else look
+    start = first_guess(data.equations) if draft is None else draft
     weight, curve = settings.prior_weight, NO_CURVE
     if weight is None:
         weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
@@ -159,14 +159,14 @@ def solve(
         now = np.asarray(state.image, np.float32)
         return Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
 
-    solution = yield from relayed(solver, solving)
+    solution = yield from forwarded(solver, solving)
     image = np.asarray(solution.image, np.float32)
     faint = np.float32(FAINT * problem.brightness)
-    support = yield from relayed(
+    support = yield from forwarded(
         support_of(equations, lambda detail: problem.majoriser(image + faint * detail)),
-        lambda share: Progress(0.9 + 0.05 * share, "asking what the frames have earned", image),
+        lambda share: Progress(0.9 + 0.05 * share, "measuring the support by the frames", image),
     )
-    consistency, residual_rms = yield from relayed(
+    consistency, residual_rms = yield from forwarded(
         data.compare(image),
         lambda share: Progress(0.95 + 0.05 * share, "comparing the frames with the result", image),
     )
@@ -208,7 +208,7 @@ def _all_added(
     return [Trial(window, tuple(seen)) for window, seen in zip(windows, views, strict=True)]
 
 
-def _first_look(
+def _draft(
     data: Accumulation, frames: NDArray[np.intp], settings: Settings
 ) -> Generator[Progress, None, tuple[Photometry, Image]]:
     """Look at the module once to learn what the sensor does.
@@ -223,15 +223,15 @@ def _first_look(
     if weight is None:
         weight = typical_prior_weight(settings.prior)
     problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
-    look = start
-    for step, state in enumerate(minimise(problem, start, _FIRST_LOOK)):
-        look = np.asarray(state.image, np.float32)
-        yield Progress(0.12 + 0.08 * step / _FIRST_LOOK, "a first look at the module", look)
-    steps = estimate_photometry(data.sequence, registration, model, look, data.motion)
-    photometry = yield from relayed(
+    draft = start
+    for step, state in enumerate(minimise(problem, start, _DRAFT_STEPS)):
+        draft = np.asarray(state.image, np.float32)
+        yield Progress(0.12 + 0.08 * step / _DRAFT_STEPS, "a first image of the module", draft)
+    steps = estimate_photometry(data.sequence, registration, model, draft, data.motion)
+    photometry = yield from forwarded(
         steps, lambda share: Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
     )
-    return photometry, look / mean_illumination(photometry, registration, model)
+    return photometry, draft / mean_illumination(photometry, registration, model)
 
 
 def _need_pixels(data: Accumulation) -> None:
@@ -247,7 +247,7 @@ def _choose_prior_weight(
 ) -> Generator[Progress, None, tuple[float, Curve]]:
     choice = choose_prior_weight(registration.camera, trials, sigma, prior)
     return (
-        yield from relayed(
+        yield from forwarded(
             choice,
             lambda share: Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels"),
         )
@@ -268,9 +268,9 @@ def _estimate_psf(
         used = used[np.linspace(0, used.size - 1, _PSF_FRAMES).round().astype(int)]
     camera, homographies = registration.camera, registration.homographies
     # One frame, rectified, shows where detail is.
-    look = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
-    smooth = cv2.GaussianBlur(look, (0, 0), max(grid.magnification / 2, 0.5))
-    del look
+    draft = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
+    smooth = cv2.GaussianBlur(draft, (0, 0), max(grid.magnification / 2, 0.5))
+    del draft
     window = window_of(grid, np.asarray(smooth, np.float32))
     del smooth
     yield Progress(0.25, "estimating the PSF")
@@ -284,4 +284,4 @@ def _estimate_psf(
         return TYPICAL_SIGMA_LR_PX
     estimate = estimate_psf_sigma(camera, window, views)
     told = "estimating the PSF"
-    return (yield from relayed(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))
+    return (yield from forwarded(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))

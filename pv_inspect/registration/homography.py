@@ -129,7 +129,7 @@ def register_by_homography(
             else:
                 warps[index] = found
         yield Progress(0.85 * (index + 1) / len(sequence), MESSAGE)
-    _reject_strangers(warps, why, reference, sequence.indices(settings.keep_frames))
+    _reject_other_modules(warps, why, reference, sequence.indices(settings.keep_frames))
 
     homographies = np.full((len(sequence), 3, 3), np.nan)
     used = np.array([not reason for reason in why])
@@ -238,7 +238,7 @@ def _stray_cells(warp: Array, start: Array, points: Array, layout: ModuleLayout)
     return float(np.median(distance) / np.sqrt(area / (width * height)))
 
 
-def _reject_strangers(
+def _reject_other_modules(
     warps: dict[int, _Aligned], why: list[str], reference: int, kept: list[int]
 ) -> None:
     """Take out frames that correlate far less with the reference, unless a person keeps them."""

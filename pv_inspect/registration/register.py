@@ -25,7 +25,7 @@ from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
 from pv_inspect.registration.module_mean import blur, detail_correlation, indices, module_mean
 from pv_inspect.registration.registration import Registration, normalised, unregistered
 from pv_inspect.registration.straightening import straighten
-from pv_inspect.sequence.copies import copies_told
+from pv_inspect.sequence.copies import copy_reasons
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
@@ -238,7 +238,7 @@ def _precision(sequence: FrameSequence, image: Image, valid: NDArray[np.bool_]) 
 def left_out(sequence: FrameSequence, settings: Settings) -> dict[int, str]:
     """Say why frames are not used whatever they show: copies, and what the user does not want."""
     skipped = dict.fromkeys(sequence.indices(settings.skip_frames), LEFT_OUT)
-    return copies_told(sequence.copies, sequence.names) | skipped
+    return copy_reasons(sequence.copies, sequence.names) | skipped
 
 
 def _without(state: Registration, reasons: dict[int, str]) -> Registration:

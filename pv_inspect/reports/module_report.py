@@ -14,7 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first, state_of
-from pv_inspect.cracks.wording import CLASS_WORDS, EARNED_RULE, class_text, length_text, tooltip
+from pv_inspect.cracks.wording import CLASS_WORDS, SUPPORT_RULE, class_text, length_text, tooltip
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
@@ -139,7 +139,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "tooltip": tooltip,
         "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
         "class_rule": CLASS_RULE,
-        "earned_rule": EARNED_RULE,
+        "support_rule": SUPPORT_RULE,
         "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,

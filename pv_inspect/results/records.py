@@ -116,7 +116,7 @@ def settings_of(stored: dict[str, Any], file_format: int) -> Settings:
     ----------
     stored : dict
     file_format : int
-        Before format 2 the default prior was called ``wbtv``.
+        Before format 2 the default prior was called ``wbtv``, and ``second_pass`` ``second_look``.
 
     Raises
     ------
@@ -125,6 +125,10 @@ def settings_of(stored: dict[str, Any], file_format: int) -> Settings:
     """
     if file_format < 2 and stored.get("prior") == "wbtv":
         stored = {**stored, "prior": "sparse_curvature"}
+    if file_format < 2 and "second_look" in stored:
+        stored = {k: v for k, v in stored.items() if k != "second_look"} | {
+            "second_pass": stored["second_look"]
+        }
     return Settings.create(**stored)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.sequence.noise import NoiseModel, estimate_noise
 
-__all__ = ["FrameContents", "Likeness", "copies_sentence", "copies_told", "likeness"]
+__all__ = ["FrameContents", "Likeness", "copies_sentence", "copy_reasons", "likeness"]
 
 Pixels = NDArray[np.unsignedinteger]
 Image = NDArray[np.float32]
@@ -113,7 +113,7 @@ class FrameContents:
         return found
 
 
-def copies_told(copies: Mapping[int, int], names: tuple[str, ...]) -> dict[int, str]:
+def copy_reasons(copies: Mapping[int, int], names: tuple[str, ...]) -> dict[int, str]:
     """Say of every copy why it is not used; frames as keys."""
     return {k: f"it is a copy of {names[first]}: counted once" for k, first in copies.items()}
 

@@ -120,7 +120,7 @@ def _find(
         paths = [existing_image(Path(p)) for p in source]
         if not paths:
             raise InspectionError("The list of frames is empty: give at least one TIFF or PNG.")
-        kept, again = _told_apart(paths)
+        kept, again = _without_repeats(paths)
         if again:
             raise InspectionError(
                 f"{again[0][0]} is in the list of frames twice: a frame counts once, remove the "
@@ -131,7 +131,7 @@ def _find(
     if path.is_dir():
         inner = path / "frames"
         images = _images_in(inner) if inner.is_dir() else []
-        kept, again = _told_apart(images or _images_in(path))
+        kept, again = _without_repeats(images or _images_in(path))
         if not kept:
             raise InspectionError(
                 f"{path} holds no TIFF or PNG image: give the folder that the frames are in."
@@ -155,7 +155,7 @@ def _images_in(folder: Path) -> list[Path]:
     return sorted(images, key=lambda p: natural_key(p.name))
 
 
-def _told_apart(paths: list[Path]) -> tuple[list[Path], list[tuple[Path, Path]]]:
+def _without_repeats(paths: list[Path]) -> tuple[list[Path], list[tuple[Path, Path]]]:
     """Keep one name of each file, the file's own before that of a link; also (other, kept)."""
     groups: dict[object, list[int]] = {}
     for k, path in enumerate(paths):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.work import Progress, relayed, result_of
+from pv_inspect.common.work import Progress, forwarded, result_of
 from pv_inspect.simulate.exposure import (
     Exposer,
     Pose,
@@ -113,7 +113,7 @@ def simulate(
     poses = choose_poses(settings, pose_rng)
     share = 0.2
     if scene is None:
-        scene = yield from relayed(
+        scene = yield from forwarded(
             render_scene(settings, module_rng),
             lambda done: Progress(share * done, "drawing the cells"),
         )

@@ -19,10 +19,10 @@ from uuid import uuid4
 
 from pv_inspect.common.signals import check, held_back
 from pv_inspect.errors import InspectionError
-from pv_inspect.storage.carrying import carried, take_missing
 from pv_inspect.storage.exchange import exchange
 from pv_inspect.storage.locks import FileLock, HeldError, folder_held
 from pv_inspect.storage.output_paths import FULL, cant_write, output_folder, shown
+from pv_inspect.storage.preserved_files import carried, take_missing
 from pv_inspect.storage.reservations import locked_output
 from pv_inspect.storage.temporaries import (
     MOVING,

@@ -328,7 +328,7 @@ def test_the_normal_equations_hold_the_gradient_of_the_cost(
 
     def slope(dh: np.ndarray, dc: np.ndarray) -> float:
         h = 1e-6
-        ahead, behind = (fit.moved(s * dh, s * dc).cost(robust) for s in (h, -h))
+        ahead, behind = (fit.stepped(s * dh, s * dc).cost(robust) for s in (h, -h))
         return (ahead - behind) / (2 * h)
 
     for k, parameter in np.ndindex(equations.a.shape):

@@ -11,35 +11,35 @@ import numpy as np
 import pytest
 
 from pv_inspect.common import parallel as concurrency
-from pv_inspect.common.parallel import in_turn, mapped
+from pv_inspect.common.parallel import one_at_a_time, parallel_map
 from pv_inspect.observation.stencil import dot
 
 
 def test_the_order_is_kept_and_no_thread_lives_on() -> None:
     before = threading.active_count()
-    assert mapped(lambda n: n * n, range(20)) == [n * n for n in range(20)]
+    assert parallel_map(lambda n: n * n, range(20)) == [n * n for n in range(20)]
     assert threading.active_count() == before
 
 
 def test_compiled_code_says_the_same_as_one_by_one() -> None:
     images = np.random.default_rng(0).random((7, 60, 50)).astype(np.float32)
-    assert mapped(lambda f: dot(f, f), images) == [dot(f, f) for f in images]
+    assert parallel_map(lambda f: dot(f, f), images) == [dot(f, f) for f in images]
 
 
 def test_the_threads_of_the_caller_stay_as_they_are() -> None:
     threads = numba.get_num_threads()
-    mapped(lambda n: n, range(3))
+    parallel_map(lambda n: n, range(3))
     assert numba.get_num_threads() == threads
 
 
 def test_an_error_reaches_the_caller() -> None:
     with pytest.raises(ZeroDivisionError):
-        mapped(lambda n: 1 / n, [2, 1, 0])
+        parallel_map(lambda n: 1 / n, [2, 1, 0])
 
 
 def test_a_layer_that_cannot_be_shared_is_not_shared(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(concurrency, "threading_layer", lambda: "workqueue")
-    assert set(mapped(lambda _: threading.get_ident(), range(4))) == {threading.get_ident()}
+    assert set(parallel_map(lambda _: threading.get_ident(), range(4))) == {threading.get_ident()}
 
 
 @pytest.mark.parametrize(("layer", "at_once"), [("workqueue", 1), ("omp", 2)])
@@ -52,7 +52,7 @@ def test_where_the_layer_cannot_be_shared_threads_take_turns(
 
     def work() -> None:
         nonlocal inside, most
-        with in_turn(), in_turn():  # the same thread may come in again
+        with one_at_a_time(), one_at_a_time():  # the same thread may come in again
             inside += 1
             with suppress(threading.BrokenBarrierError):
                 met.wait(0.2 if at_once == 1 else 20)
@@ -71,7 +71,7 @@ def test_a_cell_is_shown_while_a_run_goes_on_without_openmp() -> None:
     # numba ends the process if two threads come together: so it needs one of its own.
     script = """
 from threading import Thread
-from pv_inspect.common.parallel import in_turn
+from pv_inspect.common.parallel import one_at_a_time
 from pv_inspect.reconstruction.preview import Preview, Region
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from tests.recording import recording, settings_with
@@ -83,7 +83,7 @@ def run():
     for _ in range(3):
         steps = reconstruct(sequence, registration, settings)
         while True:
-            with in_turn():
+            with one_at_a_time():
                 if next(steps, None) is None:
                     break
 

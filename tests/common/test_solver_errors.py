@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.common.solver_errors import in_words
+from pv_inspect.common.solver_errors import explained_errors
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
@@ -13,14 +13,14 @@ from pv_inspect.geometry.layout import ModuleLayout
 def test_what_a_solver_raises_becomes_one_sentence() -> None:
     with (
         pytest.raises(InspectionError, match=r"stage 'calibrate' .*Singular matrix") as said,
-        in_words("calibrate"),
+        explained_errors("calibrate"),
     ):
         np.linalg.inv(np.zeros((3, 3)))
     assert isinstance(said.value.__cause__, np.linalg.LinAlgError)
 
 
 def test_what_opencv_raises_is_told_without_its_source_file() -> None:
-    with pytest.raises(InspectionError) as said, in_words("detect"):
+    with pytest.raises(InspectionError) as said, explained_errors("detect"):
         cv2.GaussianBlur(np.zeros((0, 0), np.float32), (0, 0), 1.0)
     assert ".cpp" not in str(said.value)
     assert len(str(said.value)) < 380
@@ -32,12 +32,12 @@ def test_opencv_without_memory_is_without_memory() -> None:
         error.code = cv2.Error.StsNoMem
         raise error
 
-    with pytest.raises(MemoryError), in_words("reconstruct"):
+    with pytest.raises(MemoryError), explained_errors("reconstruct"):
         fails()
 
 
 def test_other_errors_are_our_own_and_stay_what_they_are() -> None:
-    with pytest.raises(KeyError), in_words("detect"):
+    with pytest.raises(KeyError), explained_errors("detect"):
         raise KeyError("x")
 
 

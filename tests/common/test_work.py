@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import pytest
 
-from pv_inspect.common.work import relayed, result_of
+from pv_inspect.common.work import forwarded, result_of
 
 
 def counting(ended: list[str]) -> Generator[int, None, str]:
@@ -20,13 +20,13 @@ def counting(ended: list[str]) -> Generator[int, None, str]:
 
 def test_work_is_driven_to_its_end_and_told_in_other_words() -> None:
     seen: list[str] = []
-    assert result_of(relayed(counting([]), lambda n: f"step {n}"), seen.append) == "made"
+    assert result_of(forwarded(counting([]), lambda n: f"step {n}"), seen.append) == "made"
     assert seen == ["step 1", "step 2"]
 
 
 def test_closing_the_whole_closes_its_part() -> None:
     ended: list[str] = []
-    whole = relayed(counting(ended), str)
+    whole = forwarded(counting(ended), str)
     next(whole)
     whole.close()
     assert ended == ["closed"]

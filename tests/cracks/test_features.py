@@ -227,16 +227,16 @@ CUTTING, HARMLESS = ((0, 30), (199, 30)), ((100, 120), (100, 180))
 def test_the_unsupported_share_is_that_of_the_length(share: float) -> None:
     found = supported(drawn(CUTTING), half_supported(60, share))
     assert found.unsupported_share == pytest.approx(share, abs=0.02)
-    assert found.earned == (share < 0.5)
+    assert found.supported == (share < 0.5)
 
 
 def test_without_cracks_the_unsupported_share_is_that_of_the_area() -> None:
     nothing = np.zeros((SIDE, SIDE), bool)
     found = supported(nothing, half_supported(50))
     assert found.unsupported_share == pytest.approx(0.25)
-    assert (found.earned, found.crack_class) == (True, "none")
+    assert (found.supported, found.crack_class) == (True, "none")
     found = supported(nothing, half_supported(120))
-    assert (found.earned, found.crack_class, found.marked_class) == (False, "unsure", "none")
+    assert (found.supported, found.crack_class, found.marked_class) == (False, "unsure", "none")
 
 
 def test_a_class_that_an_unsupported_crack_decides_is_unsure() -> None:
@@ -254,13 +254,13 @@ def test_a_class_that_would_be_the_same_without_the_unsupported_crack_is_not_uns
     assert (found.crack_class, found.unsure) == ("C", False)
     assert found.unsupported_share == pytest.approx(60 / 260, abs=0.02)
     only = supported(drawn(HARMLESS), support)
-    assert (only.crack_class, only.marked_class, only.earned) == ("unsure", "A", False)
+    assert (only.crack_class, only.marked_class, only.supported) == ("unsure", "A", False)
 
 
 def test_without_a_support_map_nothing_is_unsure() -> None:
     found = measured(drawn(CUTTING))
     assert np.isnan(found.unsupported_share)
-    assert found.earned
+    assert found.supported
     assert not found.unsure
 
 

@@ -33,13 +33,15 @@ def test_a_cell_is_described_with_units() -> None:
     assert said["dark area"] == "3.1% of the cell, largest piece 2.0%"
     assert said["mean brightness"] == "31.2% of full scale"
     assert said["class"] == "B (cracks, a part is badly connected)"
-    assert said["earned by the frames"] == "yes, 10% of the crack length is unsupported"
+    assert said["supported by the frames"] == "yes, 10% of the crack length is unsupported"
 
 
-def test_a_cell_that_is_not_earned_says_so_and_what_the_marks_alone_say() -> None:
+def test_a_cell_that_is_not_supported_says_so_and_what_the_marks_alone_say() -> None:
     said = dict(described(replace(CELL, unsupported_share=0.8, unsure=True)))
-    assert said["class"] == "can't be judged (not earned by the frames; B if the marks are right)"
-    assert said["earned by the frames"] == "no, 80% of the crack length is unsupported"
+    assert (
+        said["class"] == "can't be judged (not supported by the frames; B if the marks are right)"
+    )
+    assert said["supported by the frames"] == "no, 80% of the crack length is unsupported"
 
 
 def test_what_is_not_known_is_not_written_as_nan() -> None:

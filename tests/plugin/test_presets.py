@@ -16,7 +16,7 @@ from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 
-SHARP = Settings(rows=6, cols=10, kappa=-0.1, prior="btv", prior_weight=0.3, second_look=False)
+SHARP = Settings(rows=6, cols=10, kappa=-0.1, prior="btv", prior_weight=0.3, second_pass=False)
 
 
 def same(a: Settings, b: Settings) -> bool:

@@ -13,7 +13,7 @@ from pv_inspect.reconstruction.solver import first_guess
 from pv_inspect.registration.registration import Registration
 from tests.recording import CAMERA, SHAPE, SIGMA, Frames, recording, settings_with
 
-SETTINGS = settings_with(max_iterations=300, second_look=False, motion_blur="none")
+SETTINGS = settings_with(max_iterations=300, second_pass=False, motion_blur="none")
 
 
 def begun(sequence: Frames, registration: Registration) -> Accumulation:
@@ -81,13 +81,13 @@ def test_a_frame_that_contradicts_the_others_is_seen_in_the_residuals() -> None:
     assert 26 < at[0, 1] < 38
 
 
-def test_an_insect_in_one_frame_leaves_no_trace_after_the_second_look() -> None:
+def test_an_insect_in_one_frame_leaves_no_trace_after_the_second_pass() -> None:
     sequence, registration, _ = recording(12)
     clean = result_of(reconstruct(sequence, registration, SETTINGS))
     images = [image.copy() for image in sequence.images]
     images[4][30:34, 43:47] += 0.3
     wrong = Frames(tuple(images))
-    twice = SETTINGS.changed(second_look=True)
+    twice = SETTINGS.changed(second_pass=True)
     once, robust = (
         result_of(reconstruct(wrong, registration, s))  # type: ignore[arg-type]
         for s in (SETTINGS, twice)

@@ -10,7 +10,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.observation.motion_blur import STILL, motion_of
-from pv_inspect.reconstruction.held_out import Judge, View, equations_of, model_of, split
+from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
 
 SHAPE = (48, 52)
 CAMERA = Camera(np.array([[200.0, 0, 25.5], [0, 200.0, 23.5], [0, 0, 1]]), 0.0)
@@ -50,15 +50,15 @@ def test_split_parts_all_pixels_and_is_the_same_every_time() -> None:
 def test_truth_leaves_the_noise_of_held_out_pixels(motion: np.ndarray) -> None:
     views, scene = seen(motion)
     _, test = split(views, 0.5, 1)
-    judge = Judge.of(model_of(CAMERA, GRID, views, SIGMA), views, test)
-    assert judge.residual(scene) / judge.n_pixels == pytest.approx(1.0, abs=0.07)
+    held_out = HeldOutPixels.of(model_of(CAMERA, GRID, views, SIGMA), views, test)
+    assert held_out.residual(scene) / held_out.n_pixels == pytest.approx(1.0, abs=0.07)
 
 
 def test_pixels_are_either_judged_or_used() -> None:
     views, _ = seen(STILL)
     model = model_of(CAMERA, GRID, views, SIGMA)
     train, test = split(views, 0.3, 2)
-    n = Judge.of(model, views, test).n_pixels
+    n = HeldOutPixels.of(model, views, test).n_pixels
     every = equations_of(model, views, [view.weights for view in views]).n_pixels
     assert 0 < n < every
     assert n + equations_of(model, views, train).n_pixels == every

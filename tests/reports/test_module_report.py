@@ -133,14 +133,14 @@ def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
     inspection = made_inspection()
     assert inspection.cracks is not None
     first, *others = inspection.cracks.cells
-    assert "not earned" not in Reader(render_report(inspection)).text.split("Classes")[0]
+    assert "not supported" not in Reader(render_report(inspection)).text.split("Classes")[0]
     cells = (replace(first, unsupported_share=0.8, unsure=True), *others)
     html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
     text = " ".join(Reader(html).text.split())
     assert "1 of 6 cells can't be judged from these frames; cracks suspected in 1, 4 clean." in text
     assert "can't be judged ✱" in text
     assert "80% of the cell is unsupported" in titles(html)[0]
-    assert "Not earned by the frames: at least half" in text
+    assert "Not supported by the frames: at least half" in text
 
 
 def test_settings_are_shown_with_the_values_that_were_used() -> None:

@@ -190,14 +190,17 @@ def test_the_dark_frame_of_the_settings_is_used_again(frames: Path, tmp_path: Pa
     assert reopen(read_result(tmp_path / "out")).black_level == 300.0
 
 
-def test_a_result_of_the_first_format_keeps_its_prior_under_the_new_name(tmp_path: Path) -> None:
+def test_a_result_of_the_first_format_keeps_its_settings_under_their_new_names(
+    tmp_path: Path,
+) -> None:
     write_result(made_inspection(), tmp_path / "out")
     path = tmp_path / "out" / "result.json"
     record = json.loads(path.read_text())
     assert (record.pop("format"), record["settings"]["prior"]) == (2, "sparse_curvature")
-    record["settings"]["prior"] = "wbtv"
+    record["settings"] |= {"prior": "wbtv", "second_look": False}
+    del record["settings"]["second_pass"]
     path.write_text(json.dumps(record))
-    assert read_result(tmp_path / "out").settings == Settings()
+    assert read_result(tmp_path / "out").settings == Settings(second_pass=False)
 
 
 @pytest.mark.parametrize("name", ["result.json", "geometry.json"])

@@ -11,7 +11,7 @@ import tifffile
 from pv_inspect.detection.detect import detect
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.registration.register import LEFT_OUT, left_out
-from pv_inspect.sequence.copies import FrameContents, copies_sentence, copies_told, likeness
+from pv_inspect.sequence.copies import FrameContents, copies_sentence, copy_reasons, likeness
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
@@ -192,4 +192,4 @@ def test_a_single_copy_is_named() -> None:
         "c.tif is a copy of a.tif and is counted once: the result is that of 2 frames."
     )
     assert copies_sentence({}, names) == ""
-    assert copies_told({2: 0}, names) == {2: "it is a copy of a.tif: counted once"}
+    assert copy_reasons({2: 0}, names) == {2: "it is a copy of a.tif: counted once"}

@@ -409,7 +409,7 @@ def test_without_links_a_database_in_use_is_refused_and_not_copied_half(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "link", no_links)
-    monkeypatch.setattr("pv_inspect.storage.carrying._BUSY_S", 0.05)
+    monkeypatch.setattr("pv_inspect.storage.preserved_files._BUSY_S", 0.05)
     with ReviewStore(out) as store:
         store.give(Verdict(0, 0, VerdictKind.OK, "Ann"))
         with (

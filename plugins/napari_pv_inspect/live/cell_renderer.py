@@ -12,7 +12,7 @@ from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.reconstruction.preview import Preview, Region, bent
+from pv_inspect.reconstruction.preview import Preview, Region, with_kappa
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.registration.registration import Registration
@@ -105,7 +105,9 @@ class CellRenderer:
         if wanted != self._moved_for or self._preview is None:
             there = registration_for(inspection, settings)
             self._preview = (
-                self._base if there is registration else (self._preview or self._base).moved(there)
+                self._base
+                if there is registration
+                else (self._preview or self._base).with_registration(there)
             )
             self._moved_for = wanted
         return self._preview
@@ -130,7 +132,7 @@ def registration_for(inspection: Inspection, settings: Settings) -> Registration
         registration = replace(registration, used=used)
     kappa = settings.kappa
     if kappa is not None and abs(kappa - registration.camera.kappa) > 1e-9:
-        registration = bent(registration, kappa)
+        registration = with_kappa(registration, kappa)
     return registration
 
 

@@ -14,7 +14,7 @@ from pv_inspect.storage.folders import replace_file
 
 __all__ = ["PRESET_FIELDS", "PresetShelf", "read_preset", "write_preset"]
 
-PRESET_FIELDS = (*IMAGE_FIELDS, "second_look", "max_iterations", "detector", "crack_threshold")
+PRESET_FIELDS = (*IMAGE_FIELDS, "second_pass", "max_iterations", "detector", "crack_threshold")
 """Fields of a preset: nothing about one module, its frames or its camera."""
 
 SUFFIX = ".toml"

@@ -113,7 +113,7 @@ class Reviewer(QObject):
                 self._model.select_cell(other)
 
     def set_rater(self, rater: str) -> None:
-        """Judge as somebody else, also in the next session."""
+        """HeldOutPixels as somebody else, also in the next session."""
         self.state.set_rater(rater)
         self._memory.setValue("rater", self.state.rater)
 

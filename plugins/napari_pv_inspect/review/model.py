@@ -26,7 +26,7 @@ class ReviewModel(ReviewKeeping):
     """
 
     def give(self, cell: Cell, kind: VerdictKind) -> None:
-        """Judge a cell; the note that waits for it goes with it."""
+        """HeldOutPixels a cell; the note that waits for it goes with it."""
         known, note = self.verdict(cell), self.note(cell)
         if known is None or known.kind is not kind:
             self._give(cell, kind, note, f"Verdict {kind.label}")

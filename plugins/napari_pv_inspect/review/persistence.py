@@ -150,7 +150,7 @@ class ReviewKeeping(ReviewView):
             self._reload()
 
     def set_rater(self, rater: str) -> None:
-        """Judge as somebody else; an empty name changes nothing."""
+        """HeldOutPixels as somebody else; an empty name changes nothing."""
         rater = rater.strip()
         if not rater or rater == self.rater:
             return

@@ -9,17 +9,17 @@ from typing import Self, TypeVar
 
 from pv_inspect.common import signals
 
-__all__ = ["Course"]
+__all__ = ["Cleanup"]
 
 T = TypeVar("T")
 
 
-class Course:
+class Cleanup:
     """From here on a signal lets the work clean up behind itself; before, it just ends it.
 
     Attributes
     ----------
-    so_far : callable
+    written_so_far : callable
         Tells, as a part of a sentence, what has been written at this moment.
     said : str
         What it told when the work was stopped.
@@ -27,7 +27,7 @@ class Course:
 
     def __init__(self) -> None:
         self._stack = ExitStack()
-        self.so_far: Callable[[], str] = lambda: "nothing was written"
+        self.written_so_far: Callable[[], str] = lambda: "nothing was written"
         self.said = ""
 
     def begin(self) -> None:
@@ -50,7 +50,7 @@ class Course:
     ) -> None:
         stop = signals.came()
         if stop is not None or isinstance(error, KeyboardInterrupt):
-            self.said = self.so_far()
+            self.said = self.written_so_far()
         try:
             self._stack.__exit__(kind, error, trace)
         finally:
