@@ -12,7 +12,6 @@ from napari.layers import Layer
 from napari.utils.notifications import show_error
 from psygnal import Signal
 from qtpy.QtCore import QEvent, QObject, Qt, QTimer
-from qtpy.QtWidgets import QDialog
 from superqt.utils import qthrottled
 
 from napari_pv_inspect.io.drops import DropTaker
@@ -34,6 +33,12 @@ from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.point_editor import PointEditor
 from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.napari_internals import (
+    canvas_area,
+    expand_newest_message,
+    main_window,
+    unwrapped,
+)
 from napari_pv_inspect.review.controller import Reviewer
 from napari_pv_inspect.session.trials import TrialKeeper
 from napari_pv_inspect.session.view_state import SessionKeeper
@@ -58,8 +63,7 @@ class Workbench(QObject):
     @classmethod
     def of(cls, viewer: ViewerModel) -> Workbench:
         """Return the workbench of a viewer, made when first asked for."""
-        # napari gives plugins a proxy of the viewer.
-        viewer = getattr(viewer, "__wrapped__", viewer)
+        viewer = unwrapped(viewer)
         if viewer not in cls._of_viewer:
             cls._of_viewer[viewer] = cls(viewer)
         return cls._of_viewer[viewer]
@@ -100,8 +104,7 @@ class Workbench(QObject):
         self.model.sequence_changed.connect(self._on_sequence)
         # Last: adopting may take another layer away, which napari's list has to be ready for.
         viewer.layers.events.inserted.connect(self._on_inserted, position="last")
-        window = getattr(viewer, "window", None)
-        self._main_window = getattr(window, "_qt_window", None)
+        self._main_window = main_window(viewer)
         self._refused = False
         self._canvas_size = (0, 0)
         self._fit_timer = QTimer(self)
@@ -117,10 +120,10 @@ class Workbench(QObject):
             self._main_window.setCorner(
                 Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
             )
-            self._drops = DropTaker(self._main_window._qt_viewer, self.open)
+            self._drops = DropTaker(canvas_area(self._main_window), self.open)
             self._main_window.installEventFilter(self)
             # `viewer.close()` closes the canvas first: without it no question can be asked.
-            self._main_window._qt_viewer.installEventFilter(self)
+            canvas_area(self._main_window).installEventFilter(self)
             self.shortcuts = Shortcuts(self._main_window)
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
             self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
@@ -160,7 +163,7 @@ class Workbench(QObject):
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
-            self._main_window._qt_viewer.removeEventFilter(self)
+            canvas_area(self._main_window).removeEventFilter(self)
             if self.shortcuts is not None:
                 self.shortcuts.close()
             self._main_window = None
@@ -169,7 +172,7 @@ class Workbench(QObject):
         """Close with the window, and before it."""
         if event.type() != QEvent.Type.Close or self._main_window is None:
             return False
-        canvas = self._main_window._qt_viewer
+        canvas = canvas_area(self._main_window)
         if watched not in (self._main_window, canvas):
             return False
         # napari closes the window right after the canvas: the user is not asked twice.
@@ -243,11 +246,4 @@ class Workbench(QObject):
         if is_error:
             show_error(text)
             if self._main_window is not None:
-                _expand_newest_popup(self._main_window)
-
-
-def _expand_newest_popup(window: QObject) -> None:
-    """Show all of a message: napari shows as much of it as fits into a line."""
-    popups = [p for p in window.findChildren(QDialog) if hasattr(p, "toggle_expansion")]
-    if popups and not popups[-1].property("expanded"):
-        popups[-1].toggle_expansion()
+                expand_newest_message(self._main_window)

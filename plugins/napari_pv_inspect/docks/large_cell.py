@@ -10,6 +10,12 @@ from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.cell import GALLERY, CellDock, dock_of, focus_gallery
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import (
+    canvas_area,
+    central_layout,
+    layer_docks,
+    main_window,
+)
 from napari_pv_inspect.review.subject import Subject
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.workbench import Workbench
@@ -49,7 +55,7 @@ class LargeCell(QWidget):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.view)
         self.hide()
-        window.centralWidget().layout().addWidget(self)
+        central_layout(window).addWidget(self)
         self.view.back_wanted.connect(self.back)
         self.view.gallery_wanted.connect(self.toggle_gallery)
         listen(bench.review.state.subject_changed, self._on_subject)
@@ -62,12 +68,11 @@ class LargeCell(QWidget):
         """Show the selected cell; ``alone``: with the gallery folded, and the keyboard."""
         if not self.is_open:
             self.is_open = True
-            canvas = self._window._qt_viewer
-            for dock in (canvas.dockLayerControls, canvas.dockLayerList):
+            for dock in layer_docks(self._window):
                 area = self._window.dockWidgetArea(dock)
                 if area == Qt.DockWidgetArea.LeftDockWidgetArea:
                     self._fold(dock)
-            canvas.hide()
+            canvas_area(self._window).hide()
             self.show()
             self.toggled.emit(True)
         if alone:
@@ -106,11 +111,15 @@ class LargeCell(QWidget):
 
     @property
     def _window(self) -> QMainWindow:
-        return self._bench.viewer.window._qt_window
+        # Asked for each time: a window that is closed has to be free to go.
+        window = main_window(self._bench.viewer)
+        assert window is not None, "made only where there is a window"
+        return window
 
     @property
     def _gallery(self) -> QWidget | None:
-        return self._bench.viewer.window.dock_widgets.get(GALLERY)
+        gallery: QWidget | None = self._bench.viewer.window.dock_widgets.get(GALLERY)
+        return gallery
 
     def _on_canvas_wanted(self, look: Callable[[], None]) -> None:
         if self.is_open:
@@ -147,7 +156,7 @@ class LargeCell(QWidget):
     def _give_back(self) -> None:
         self.is_open = False
         self.hide()
-        self._window._qt_viewer.show()
+        canvas_area(self._window).show()
         for dock, _, _ in self._folded:
             dock.show()
 
@@ -170,7 +179,7 @@ def large_cell(bench: Workbench) -> LargeCell | None:
 
     None if there is no window.
     """
-    window: QMainWindow | None = getattr(getattr(bench.viewer, "window", None), "_qt_window", None)
+    window = main_window(bench.viewer)
     if window is None:
         return None
     return window.findChild(LargeCell) or LargeCell(bench, window)

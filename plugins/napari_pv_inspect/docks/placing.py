@@ -9,6 +9,7 @@ from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
 
 from napari_pv_inspect.docks.live_cell import LiveDock
+from napari_pv_inspect.napari_internals import canvas_area, main_window
 from napari_pv_inspect.workbench import Workbench
 
 __all__ = ["show_live_cell"]
@@ -26,31 +27,33 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
     controls : QWidget
         The widget in whose dock the sliders are.
     """
-    window = bench.viewer.window
-    for place in window._qt_window.findChildren(QDockWidget):
+    window = main_window(bench.viewer)
+    if window is None:
+        raise RuntimeError("a live cell needs a window")
+    for place in window.findChildren(QDockWidget):
         live = place.findChild(LiveDock)
         if live is not None:
             place.show()
             place.raise_()
-            _fit_view(bench)
+            _fit_view(bench, window)
             return live
     live = LiveDock(bench.viewer)
-    place = window.add_dock_widget(live, name="Live cell", area="right")
+    place = bench.viewer.window.add_dock_widget(live, name="Live cell", area="right")
     beside = _dock_of(controls)
     if beside is not None and not beside.isFloating():
-        window._qt_window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
+        window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
         place.visibilityChanged.connect(partial(_narrow, ref(beside), beside.width()))
         # Qt resizes docks only once they have been laid out; no dock, no call.
-        QTimer.singleShot(0, place, partial(_widen, window._qt_window, place, beside))
+        QTimer.singleShot(0, place, partial(_widen, window, place, beside))
     # With two docks beside each other the full height is of more use than a wide gallery.
-    window._qt_window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
-    _fit_view(bench)
+    window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
+    _fit_view(bench, window)
     return live
 
 
-def _fit_view(bench: Workbench) -> None:
+def _fit_view(bench: Workbench, window: QMainWindow) -> None:
     """Show all layers on the narrower canvas, unless a large cell stands in its place."""
-    if not bench.viewer.window._qt_window._qt_viewer.isHidden():
+    if not canvas_area(window).isHidden():
         bench.fit_view()
 
 
