@@ -36,6 +36,7 @@ lint: $(INSTALLED) ## ruff, mypy, and the floors that no import may climb
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy --strict pv_inspect
+	MYPYPATH=plugins $(PYTHON) -m mypy plugins/napari_pv_inspect
 	.venv/bin/lint-imports --no-logo
 
 format: $(INSTALLED) ## put every file into the house's form

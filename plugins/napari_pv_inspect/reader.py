@@ -17,12 +17,12 @@ NOTHING: list[LayerData] = [(None,)]  # type: ignore[list-item]
 IMAGES = {".tif", ".tiff", ".png"}
 
 
-def get_reader(path: str | Sequence[str]) -> Reader | None:
+def get_reader(path: str | Path | Sequence[str]) -> Reader | None:
     """Return a reader for a folder of frames, a TIFF stack or a result folder, else None.
 
     Parameters
     ----------
-    path : str or list of str
+    path : str, Path or list of str
         One path, or the frames of one sequence as a list.
     """
     if not isinstance(path, (str, Path)):

@@ -7,6 +7,9 @@ from dataclasses import Field, dataclass, field, fields, replace
 from functools import cache
 from typing import Any, get_args, get_type_hints
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import CrackMap
@@ -43,7 +46,7 @@ class Step:
     stage: Stage
     fraction: float
     message: str
-    partial: object | None = None
+    partial: Part | NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, eq=False)

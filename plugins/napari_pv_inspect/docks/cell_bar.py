@@ -76,8 +76,8 @@ class CellBar(QWidget):
     @property
     def contrast(self) -> tuple[float, float]:
         """Black and white, parts of the brightest pixel."""
-        low, high = self.contrast_slider.value()
-        return low / STEPS, high / STEPS
+        limits: tuple[int, ...] = self.contrast_slider.value()
+        return limits[0] / STEPS, limits[1] / STEPS
 
     @property
     def opacity(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from napari.components import ViewerModel
 from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, QTimer, Signal
 from qtpy.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QResizeEvent
@@ -351,9 +353,9 @@ def _view(cells: CellList, delegate: TileDelegate) -> _Gallery:
     return view
 
 
-def _combo(entries: dict[str, object], tip: str) -> QComboBox:
+def _combo(entries: Iterable[str], tip: str) -> QComboBox:
     combo = QComboBox()
-    combo.addItems(list(entries))
+    combo.addItems([*entries])
     combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
     combo.setToolTip(tip)
     return combo

@@ -9,6 +9,7 @@ from qtpy.QtWidgets import QStyle, QStyledItemDelegate, QStyleOptionViewItem
 
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.thumbnails import Thumbnails
+from napari_pv_inspect.widgets.model_index import ModelIndex
 from pv_inspect.cracks import CellState
 from pv_inspect.cracks.wording import tooltip
 from pv_inspect.review import Cell, Verdict, VerdictKind
@@ -86,7 +87,7 @@ class CellList(QAbstractListModel):
             self._pictures.pop(cell, None)
         self.repaint()
 
-    def cell(self, index: QModelIndex) -> Cell:
+    def cell(self, index: ModelIndex) -> Cell:
         """Row and column of the cell at an index, from 0."""
         return self._order[index.row()]
 
@@ -94,11 +95,11 @@ class CellList(QAbstractListModel):
         """Index of a cell; an invalid one if it is not listed."""
         return self.index(self._order.index(cell)) if cell in self._order else QModelIndex()
 
-    def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
+    def rowCount(self, _: ModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
         """Count the cells."""
         return len(self._order)
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return picture, name, place or tooltip of a cell."""
         if not index.isValid():
             return None
@@ -134,11 +135,11 @@ class TileDelegate(QStyledItemDelegate):
         """Size of a tile with its bar and the gap to the next one."""
         return self._cells.thumbnail + QSize(GAP, BAR + GAP)
 
-    def sizeHint(self, _: QStyleOptionViewItem, __: QModelIndex) -> QSize:  # noqa: N802
+    def sizeHint(self, _: QStyleOptionViewItem, __: ModelIndex) -> QSize:  # noqa: N802
         """Size of a tile with its bar."""
         return self.tile()
 
-    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: QModelIndex) -> None:
+    def paint(self, painter: QPainter, option: QStyleOptionViewItem, index: ModelIndex) -> None:
         """Paint a tile."""
         cell = index.data(CELL_ROLE)
         picture = index.data(Qt.ItemDataRole.DecorationRole)

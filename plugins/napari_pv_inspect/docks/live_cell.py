@@ -207,9 +207,12 @@ class LiveDock(QWidget):
         notes = []
         if inspection.reconstruction is None:
             notes.append("Before the first whole run PSF and lambda are typical values.")
-        registration = inspection.registration
-        bends = settings.kappa is not None and registration is not None
-        if bends and abs(settings.kappa - registration.camera.kappa) > 1e-9:
+        kappa, registration = settings.kappa, inspection.registration
+        if (
+            kappa is not None
+            and registration is not None
+            and abs(kappa - registration.camera.kappa) > 1e-9
+        ):
             notes.append("Poses refitted to the grid for this kappa, not registered again.")
         stopped = inspection.settings.motion_blur == "none" and settings.motion_blur == "auto"
         if stopped:

@@ -17,6 +17,7 @@ from qtpy.QtWidgets import (
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.models.trials import Trial, Tuning
 from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.model_index import ModelIndex
 from napari_pv_inspect.widgets.swipe_view import grey_image
 
 __all__ = ["TrialList", "TrialModel"]
@@ -52,19 +53,19 @@ class TrialModel(QAbstractListModel):
         known = {trial.number for trial in new}
         self._icons = {number: icon for number, icon in self._icons.items() if number in known}
 
-    def trial(self, index: QModelIndex) -> Trial:
+    def trial(self, index: ModelIndex) -> Trial:
         """Return the trial at an index."""
         return self._trials[index.row()]
 
-    def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
+    def rowCount(self, _: ModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
         """Count the trials."""
         return len(self._trials)
 
-    def flags(self, index: QModelIndex) -> Qt.ItemFlag:
+    def flags(self, index: ModelIndex) -> Qt.ItemFlag:
         """Every trial can be named."""
         return super().flags(index) | Qt.ItemFlag.ItemIsEditable
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return title, thumbnail, tooltip; the current one is bold."""
         if not index.isValid():
             return None
@@ -83,7 +84,7 @@ class TrialModel(QAbstractListModel):
         return None
 
     def setData(  # noqa: N802 (Qt's name)
-        self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
+        self, index: ModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
     ) -> bool:
         """Name a trial."""
         if role != Qt.ItemDataRole.EditRole or not index.isValid():
@@ -97,7 +98,8 @@ class TrialModel(QAbstractListModel):
         """Return the thumbnail of a trial."""
         if trial.number not in self._icons:
             image = grey_image(trial.picture.image, contrast_limits(trial.picture.image))
-            ratio = QGuiApplication.instance().devicePixelRatio()
+            app = QGuiApplication.instance()
+            ratio = app.devicePixelRatio() if isinstance(app, QGuiApplication) else 1.0
             scaled = image.scaled(
                 round(THUMBNAIL * ratio),
                 round(THUMBNAIL * ratio),

@@ -68,7 +68,8 @@ def lazy_stack(sequence: FrameSequence) -> da.Array:
         da.from_delayed(dask.delayed(_frame)(sequence, i), sequence.shape, np.float32)
         for i in range(len(sequence))
     ]
-    return da.stack(frames)
+    stack: da.Array = da.stack(frames)
+    return stack
 
 
 def sequence_layer(sequence: FrameSequence) -> LayerData:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,6 +11,7 @@ from napari.components import ViewerModel
 from napari.layers import Points
 from napari.layers.base import ActionType
 from napari.utils.colormaps.standardize_color import transform_color
+from numpy.typing import NDArray
 from psygnal import Signal
 
 from napari_pv_inspect import appearance as look
@@ -143,7 +144,7 @@ class PointsLayer:
         crossings, calibration = shown.crossings, shown.calibration
         if crossings is self._editor.crossings:
             source: tuple[object, ...] = (crossings, self._editor.calibration)
-            predicted = self._editor.predicted
+            predicted: Callable[[int], NDArray[np.float64]] | None = self._editor.predicted
         else:
             source = (crossings, calibration)
             predicted = None if calibration is None else calibration.crossings_px
@@ -202,7 +203,7 @@ class PointsLayer:
     def _on_drawn(self, _: object = None) -> None:
         """See what the hand does between press and release, when napari holds its news back."""
         marks, layer = self._marks, self._layer
-        if self._writing or marks is None or layer is None or self._slot.layer is not layer:
+        if self._writing or self._slot.layer is not layer or marks is None or layer is None:
             return
         if not layer.events.data.blocked():
             return

@@ -41,22 +41,21 @@ class Recalibration:
 
     def _on_edit(self, _: object = None) -> None:
         inspection = self._model.inspection
-        wanted = (
-            inspection is not None
-            and inspection.crossings is not None
-            and inspection.crossings is self._editor.crossings
-            and inspection.calibration is None
-            and bool(self._editor.edits)
-            and self._model.run_state is RunState.IDLE
-        )
-        if not wanted:
+        crossings = None if inspection is None else inspection.crossings
+        if (
+            inspection is None
+            or crossings is None
+            or crossings is not self._editor.crossings
+            or inspection.calibration is not None
+            or not self._editor.edits
+            or self._model.run_state is not RunState.IDLE
+        ):
             self._for = None
             self._newest.drop()
         elif inspection is not self._for:
-            assert inspection is not None
             self._for = inspection
-            crossings, shape = inspection.crossings, inspection.sequence.shape
-            self._newest.ask(partial(calibrate, crossings, shape, inspection.settings))
+            shape, settings = inspection.sequence.shape, inspection.settings
+            self._newest.ask(partial(calibrate, crossings, shape, settings))
 
     def _on_fit(self, answer: Calibration | InspectionError) -> None:
         inspection = self._model.inspection

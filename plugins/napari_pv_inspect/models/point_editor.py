@@ -40,6 +40,13 @@ class PointEditor:
         of all frames is entered into the inspection.
     """
 
+    edits: PointEdits
+    crossings: Crossings | None
+    calibration: Calibration | None
+    _detected: Crossings | None
+    _of_the_run: Crossings | None
+    _base: Inspection | None
+
     changed = Signal()
 
     def __init__(self, model: WorkbenchModel, history: History) -> None:
@@ -189,11 +196,8 @@ class PointEditor:
 
     def _forget(self) -> None:
         self.edits = PointEdits()
-        self.crossings: Crossings | None = None
-        self.calibration: Calibration | None = None
-        self._detected: Crossings | None = None
-        self._of_the_run: Crossings | None = None
-        self._base: Inspection | None = None
+        self.crossings = self._detected = self._of_the_run = None
+        self.calibration = self._base = None
 
 
 def nearest_used(fit: Calibration, frame: int) -> int:

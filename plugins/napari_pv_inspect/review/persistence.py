@@ -224,7 +224,7 @@ class ReviewKeeping(ReviewView):
         self._journal.submit(self._loader(), self._on_loaded)
 
     def _load(self, store: ReviewStore) -> Loaded:
-        return self._loader()(store)
+        return jobs.load(store, self.rater)
 
     def _loader(self) -> Job:
         rater = self.rater

@@ -26,6 +26,7 @@ from qtpy.QtWidgets import (
 from napari_pv_inspect.models.frame_table import FrameRow, frame_rows, ticked
 from napari_pv_inspect.models.history import Action
 from napari_pv_inspect.widgets.listen import listen
+from napari_pv_inspect.widgets.model_index import ModelIndex
 from napari_pv_inspect.workbench import Workbench
 
 __all__ = ["FrameTable", "FramesBox"]
@@ -69,11 +70,11 @@ class FrameTable(QAbstractTableModel):
             self.rows = rows
             self.dataChanged.emit(self.index(0, 0), self.index(len(rows) - 1, STATUS))
 
-    def rowCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
+    def rowCount(self, _: ModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
         """Count the frames."""
         return len(self.rows)
 
-    def columnCount(self, _: QModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
+    def columnCount(self, _: ModelIndex | None = None) -> int:  # noqa: N802 (Qt's name)
         """Count the columns."""
         return len(COLUMNS)
 
@@ -92,12 +93,12 @@ class FrameTable(QAbstractTableModel):
                 return COLUMNS[title]
         return None
 
-    def flags(self, index: QModelIndex) -> Qt.ItemFlag:
+    def flags(self, index: ModelIndex) -> Qt.ItemFlag:
         """Allow a tick beside the name."""
         flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
         return flags | Qt.ItemFlag.ItemIsUserCheckable if index.column() == NAME else flags
 
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+    def data(self, index: ModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """Return what a place of the table shows."""
         if not index.isValid():
             return None
@@ -128,7 +129,7 @@ class FrameTable(QAbstractTableModel):
         return None
 
     def setData(  # noqa: N802 (Qt's name)
-        self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
+        self, index: ModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
     ) -> bool:
         """Hand a tick on; the table changes when the settings have."""
         if role != Qt.ItemDataRole.CheckStateRole or index.column() != NAME:

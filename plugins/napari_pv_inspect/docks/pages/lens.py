@@ -103,8 +103,10 @@ class LensBox(QGroupBox):
     def save_camera(self, path: Path) -> None:
         """Write the camera of the geometry that is shown; what is wrong becomes a notice."""
         inspection = self._model.inspection
-        geometry = inspection and (inspection.registration or inspection.calibration)
-        if not geometry:
+        if inspection is None:
+            return
+        geometry = inspection.registration or inspection.calibration
+        if geometry is None:
             return
         try:
             write_camera(path, geometry.camera, inspection.sequence.shape)

@@ -89,13 +89,10 @@ class ModuleBox(QGroupBox):
         self._model.change_settings(cell_aspect=value if value >= 0.1 else None)
 
     def _on_settings(self, settings: Settings) -> None:
-        for box, value in (
-            (self.rows, settings.rows or 0),
-            (self.cols, settings.cols or 0),
-            (self.aspect, settings.cell_aspect or 0.0),
-        ):
-            with QSignalBlocker(box):
-                box.setValue(value)
+        with QSignalBlocker(self.rows), QSignalBlocker(self.cols), QSignalBlocker(self.aspect):
+            self.rows.setValue(settings.rows or 0)
+            self.cols.setValue(settings.cols or 0)
+            self.aspect.setValue(settings.cell_aspect or 0.0)
         self.confirm.setVisible(self._model.layout_is_guessed)
         self._on_state()
 
