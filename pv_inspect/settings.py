@@ -53,9 +53,34 @@ class Stage(StrEnum):
         return self.index >= Stage(other).index
 
 
-def _tunable(default: Any, stage: Stage, unit: str, description: str, **limits: Any) -> Any:
-    """Declare a setting; ``stage`` is the first stage that has to run again when it changes."""
-    extra: JsonDict = {"stage": stage.value, "unit": unit}
+def _tunable(
+    default: Any,
+    stage: Stage,
+    unit: str,
+    description: str,
+    *,
+    option: tuple[str, ...] = (),
+    slider: tuple[float, float] | None = None,
+    **limits: Any,
+) -> Any:
+    """Declare a setting, once for the command line, the workbench and the documentation.
+
+    Parameters
+    ----------
+    default : object
+    stage : Stage
+        The first stage that has to run again when it changes.
+    unit, description : str
+    option : tuple of str
+        How the command line spells it, if not by its name with hyphens.
+    slider : tuple of float, optional
+        The usual values, which a slider spans; the limits if not given.
+    **limits
+        ``ge``, ``gt``, ``le`` of `pydantic.Field`.
+    """
+    extra: JsonDict = {"stage": stage.value, "unit": unit, "option": list(option)}
+    if slider is not None:
+        extra["slider"] = list(slider)
     return Field(default, description=description, json_schema_extra=extra, **limits)
 
 
@@ -142,6 +167,7 @@ class Settings(BaseModel):
         "fitted if not given.",
         ge=-1,
         le=1,
+        slider=(-0.6, 0.6),
     )
     focal_length_px: Finite | None = _tunable(
         None,
@@ -150,6 +176,7 @@ class Settings(BaseModel):
         "Focal length; if not given it is a stated convention that the results do not depend on.",
         gt=10,
         le=1e6,
+        option=("--focal-length",),
     )
     calibration_file: Path | None = _tunable(
         None,
@@ -157,6 +184,7 @@ class Settings(BaseModel):
         "file",
         "Calibration of the camera (YAML, JSON or XML of OpenCV, or a result.json): fixes focal "
         "length, principal point and, unless kappa is given, kappa.",
+        option=("--calibration",),
     )
     module_of: str | None = _tunable(
         None,
@@ -171,9 +199,14 @@ class Settings(BaseModel):
         "file",
         "Names of frames that are used even if they seem to show another module; a copy of another "
         "frame stays a copy.",
+        option=("--keep-frame",),
     )
     skip_frames: tuple[str, ...] = _tunable(
-        (), Stage.REGISTER, "file", "Names of frames that are left out, with their copies."
+        (),
+        Stage.REGISTER,
+        "file",
+        "Names of frames that are left out, with their copies.",
+        option=("--skip-frame",),
     )
     registration_model: Literal["camera", "homography"] = _tunable(
         "camera",
@@ -189,6 +222,7 @@ class Settings(BaseModel):
         "LR pixel pitch / HR pixel pitch; 3 and 4 are usual.",
         ge=1,
         le=6,
+        option=("-m",),
     )
     prior: Literal["sparse_curvature", "btv", "tikhonov"] = _tunable(
         "sparse_curvature",
@@ -205,6 +239,8 @@ class Settings(BaseModel):
         "found from held-out pixels if not given.",
         ge=0,
         le=1e3,
+        option=("--lambda",),
+        slider=(1e-4, 10.0),
     )
     psf_sigma_lr_px: Finite | None = _tunable(
         None,
@@ -214,6 +250,7 @@ class Settings(BaseModel):
         "estimated if not given.",
         ge=0.1,
         le=3,
+        option=("--psf-sigma",),
     )
     motion_blur: Literal["auto", "none"] = _tunable(
         "auto",
@@ -228,6 +265,7 @@ class Settings(BaseModel):
         "1",
         "Two passes over the frames: against a first module image the sensor's fixed pattern and "
         "vignetting are found and taken out, and pixels that contradict it count for less.",
+        option=("--second-pass/--no-second-pass",),
     )
     max_iterations: int = _tunable(
         200,
@@ -328,7 +366,41 @@ class Settings(BaseModel):
     @classmethod
     def unit_of(cls, name: str) -> str:
         """Unit of a setting, for labels and tooltips."""
-        return cls._extra(name)["unit"]
+        return str(cls._extra(name)["unit"])
+
+    @classmethod
+    def options_of(cls, name: str) -> tuple[str, ...]:
+        """How the command line spells a setting."""
+        spelled = tuple(cls._extra(name)["option"])
+        long = any(text.startswith("--") for text in spelled)
+        return spelled if long else (f"--{name.replace('_', '-')}", *spelled)
+
+    @classmethod
+    def limits_of(cls, name: str) -> tuple[float | None, float | None]:
+        """Least and largest value of a setting, None where there is no limit."""
+        limits = {
+            kind: float(getattr(limit, kind))
+            for limit in cls.model_fields[name].metadata
+            for kind in ("ge", "gt", "le")
+            if hasattr(limit, kind)
+        }
+        return limits.get("ge", limits.get("gt")), limits.get("le")
+
+    @classmethod
+    def slider_of(cls, name: str) -> tuple[float, float]:
+        """Return the values that a slider of this setting spans.
+
+        Raises
+        ------
+        ValueError
+            If the setting has neither usual values nor limits.
+        """
+        low, high = cls.limits_of(name)
+        if "slider" in (extra := cls._extra(name)):
+            low, high = map(float, extra["slider"])
+        if low is None or high is None:
+            raise ValueError(f"{name} has no range")
+        return low, high
 
     @classmethod
     def stage_of(cls, name: str) -> Stage:
@@ -345,10 +417,10 @@ class Settings(BaseModel):
         return min(stages, key=lambda stage: stage.index, default=None)
 
     @classmethod
-    def _extra(cls, name: str) -> dict[str, str]:
+    def _extra(cls, name: str) -> dict[str, Any]:
         extra = cls.model_fields[name].json_schema_extra
         assert isinstance(extra, dict)
-        return {key: str(value) for key, value in extra.items()}
+        return dict(extra)
 
 
 def _sentence(error: ValidationError) -> str:

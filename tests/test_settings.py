@@ -67,3 +67,22 @@ def test_a_bad_settings_file_is_one_sentence(tmp_path: Path) -> None:
     path.write_text("rows = 0", encoding="utf-8")
     with pytest.raises(InspectionError, match=r"bad\.toml: Setting rows is 0"):
         Settings.from_toml(path)
+
+
+def test_a_slider_spans_usual_values_within_the_limits() -> None:
+    for name in ("kappa", "magnification", "prior_weight", "psf_sigma_lr_px"):
+        least, most = Settings.limits_of(name)
+        low, high = Settings.slider_of(name)
+        assert least is not None
+        assert most is not None
+        assert least <= low < high <= most
+    assert Settings.slider_of("prior_weight")[0] > 0  # it is logarithmic
+    with pytest.raises(ValueError, match="detector has no range"):
+        Settings.slider_of("detector")
+
+
+def test_stages_compare_by_their_order_not_by_their_names() -> None:
+    assert sorted(Stage, key=str.__str__) != list(Stage)
+    assert sorted(set(Stage)) == list(Stage)
+    assert Stage.CALIBRATE > Stage.DETECT
+    assert max(Stage.CELLS, Stage.REGISTER) is Stage.CELLS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,7 +16,7 @@ from pv_inspect.cli.common import (
     Debug,
     Quiet,
     one_sentence_on_errors,
-    option,
+    with_settings,
 )
 from pv_inspect.cli.run import WORDS, run
 from pv_inspect.cli.simulate import simulate
@@ -66,16 +66,14 @@ app.command(epilog=WORDS)(run)
 
 
 @app.command()
+@with_settings("crack_threshold", "detector", "cell_width_mm", "max_frame_mpx")
 def cracks(
     images: cli_cracks.Images,
     out: Annotated[
         Path,
         typer.Option("--out", "-o", help="Folder for the maps and cells.csv.", show_default=False),
     ],
-    crack_threshold: Annotated[float | None, option("crack_threshold")] = None,
-    detector: Annotated[str | None, option("detector")] = None,
-    cell_width_mm: Annotated[float | None, option("cell_width_mm")] = None,
-    max_frame_mpx: Annotated[float | None, option("max_frame_mpx")] = None,
+    given: dict[str, Any],
     model: cli_cracks.Model = None,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -86,13 +84,7 @@ def cracks(
     and cells.csv with the features of all cells.
     """
     with one_sentence_on_errors(debug) as cleanup:
-        given = {
-            "crack_threshold": crack_threshold,
-            "detector": detector,
-            "cell_width_mm": cell_width_mm,
-            "max_frame_mpx": max_frame_mpx,
-        }
-        settings = Settings().changed(**{k: v for k, v in given.items() if v is not None})
+        settings = Settings().changed(**given)
         if not cli_cracks.cracks_of(images, out, settings, model, cleanup, quiet=quiet):
             raise typer.Exit(1)
 

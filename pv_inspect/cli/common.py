@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from functools import wraps
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import typer
 from typer.core import TyperGroup
@@ -16,7 +19,16 @@ from pv_inspect.common.signals import stop_code, stop_word
 from pv_inspect.errors import InspectionError, one_sentence
 from pv_inspect.settings import Settings
 
-__all__ = ["Commands", "Debug", "Quiet", "fail", "one_sentence_on_errors", "option", "use_threads"]
+__all__ = [
+    "Commands",
+    "Debug",
+    "Quiet",
+    "fail",
+    "one_sentence_on_errors",
+    "option",
+    "use_threads",
+    "with_settings",
+]
 
 
 class Commands(TyperGroup):
@@ -45,20 +57,67 @@ def _wrong_usage(ctx: Any) -> Iterator[None]:
         fail(f"{said}; see {' '.join(words)}.", error.exit_code)
 
 
-def option(setting: str, *names: str) -> Any:
+def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command an option for each setting; it gets those that were given as ``given``.
+
+    Parameters
+    ----------
+    *names : str
+        Fields of `Settings`; all of them if none is named.
+    """
+
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        settings = names or tuple(Settings.model_fields)
+
+        @wraps(command)
+        def called(**values: Any) -> None:
+            found = {name: values.pop(name) for name in settings}
+            command(given={k: v for k, v in found.items() if v is not None}, **values)
+
+        own = inspect.signature(command, eval_str=True).parameters.values()
+        kept = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p.name != "given"]
+        made = [
+            inspect.Parameter(
+                name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=None,
+                annotation=Annotated[_kind_of(name) | None, option(name)],
+            )
+            for name in settings
+        ]
+        required = [p for p in kept if p.default is p.empty]
+        others = [p for p in kept if p.default is not p.empty]
+        signature = inspect.Signature([*required, *made, *others])
+        called.__signature__ = signature  # type: ignore[attr-defined]
+        called.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
+        return called
+
+    return decorated
+
+
+def _kind_of(setting: str) -> Any:
+    """Type of a setting for the command line; `Settings` checks the value."""
+    kind = Settings.model_fields[setting].annotation
+    if get_origin(kind) in (Union, UnionType):
+        (kind,) = (one for one in get_args(kind) if one is not NoneType)
+    if get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        return str
+    if kind == tuple[str, ...]:
+        return list[str]
+    if get_origin(kind) is tuple:  # of numbers with limits
+        return tuple[tuple(float for _ in get_args(kind))]  # type: ignore[misc]
+    return kind
+
+
+def option(setting: str) -> Any:
     """Option for a setting, with the setting's own description, unit and default."""
     about = Settings.model_fields[setting]
-    long = f"--{setting.replace('_', '-')}"
-    spelled = names if any(name.startswith("--") for name in names) else (long, *names)
+    spelled = Settings.options_of(setting)
     unit = Settings.unit_of(setting)
     unit_text = "" if unit in ("1", "file") else f" {unit}"
-    limits = {
-        name: getattr(limit, name)
-        for limit in about.metadata
-        for name in ("ge", "gt", "le")
-        if hasattr(limit, name)
-    }
-    low, high = limits.get("ge", limits.get("gt")), limits.get("le")
+    low, high = Settings.limits_of(setting)
     range_text = "" if low is None or high is None else f" {low:g} to {high:g}"
     number = isinstance(about.default, int | float)
     default = f"default {about.default:g}" if number else f"default {about.default}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,8 +12,8 @@ from pv_inspect.cli.common import (
     Debug,
     Quiet,
     one_sentence_on_errors,
-    option,
     use_threads,
+    with_settings,
 )
 from pv_inspect.settings import Settings
 from pv_inspect.storage.output_paths import check_not_inside
@@ -31,6 +31,7 @@ WORDS = (
 )
 
 
+@with_settings()
 def run(
     sequence: Annotated[
         Path,
@@ -50,33 +51,7 @@ def run(
             show_default=False,
         ),
     ],
-    rows: Annotated[int | None, option("rows")] = None,
-    cols: Annotated[int | None, option("cols")] = None,
-    cell_aspect: Annotated[float | None, option("cell_aspect")] = None,
-    module_at: Annotated[tuple[float, float] | None, option("module_at")] = None,
-    magnification: Annotated[float | None, option("magnification", "-m")] = None,
-    prior: Annotated[str | None, option("prior")] = None,
-    prior_weight: Annotated[float | None, option("prior_weight", "--lambda")] = None,
-    max_iterations: Annotated[int | None, option("max_iterations")] = None,
-    kappa: Annotated[float | None, option("kappa")] = None,
-    focal_length: Annotated[float | None, option("focal_length_px", "--focal-length")] = None,
-    calibration: Annotated[Path | None, option("calibration_file", "--calibration")] = None,
-    registration_model: Annotated[str | None, option("registration_model")] = None,
-    module_of: Annotated[str | None, option("module_of")] = None,
-    keep_frame: Annotated[list[str] | None, option("keep_frames", "--keep-frame")] = None,
-    skip_frame: Annotated[list[str] | None, option("skip_frames", "--skip-frame")] = None,
-    psf_sigma: Annotated[float | None, option("psf_sigma_lr_px", "--psf-sigma")] = None,
-    motion_blur: Annotated[str | None, option("motion_blur")] = None,
-    crack_threshold: Annotated[float | None, option("crack_threshold")] = None,
-    detector: Annotated[str | None, option("detector")] = None,
-    cell_width_mm: Annotated[float | None, option("cell_width_mm")] = None,
-    dark_frame: Annotated[Path | None, option("dark_frame")] = None,
-    flat_frame: Annotated[Path | None, option("flat_frame")] = None,
-    max_frame_mpx: Annotated[float | None, option("max_frame_mpx")] = None,
-    max_frames: Annotated[int | None, option("max_frames")] = None,
-    second_pass: Annotated[
-        bool | None, option("second_pass", "--second-pass/--no-second-pass")
-    ] = None,
+    given: dict[str, Any],
     settings_file: Annotated[
         Path | None,
         typer.Option("--settings", help="TOML file of settings; the options above win over it."),
@@ -104,35 +79,8 @@ def run(
         from pv_inspect.results.write import write_result
         from pv_inspect.sequence.sequence import FrameSequence
 
-        given = {
-            "rows": rows,
-            "cols": cols,
-            "cell_aspect": cell_aspect,
-            "module_at": module_at,
-            "magnification": magnification,
-            "prior": prior,
-            "prior_weight": prior_weight,
-            "kappa": kappa,
-            "focal_length_px": focal_length,
-            "calibration_file": calibration,
-            "registration_model": registration_model,
-            "module_of": module_of,
-            "keep_frames": keep_frame,
-            "skip_frames": skip_frame,
-            "psf_sigma_lr_px": psf_sigma,
-            "motion_blur": motion_blur,
-            "dark_frame": dark_frame,
-            "flat_frame": flat_frame,
-            "max_frame_mpx": max_frame_mpx,
-            "max_frames": max_frames,
-            "second_pass": second_pass,
-            "max_iterations": max_iterations,
-            "crack_threshold": crack_threshold,
-            "detector": detector,
-            "cell_width_mm": cell_width_mm,
-        }
         settings = Settings.from_toml(settings_file) if settings_file else Settings()
-        settings = settings.changed(**{k: v for k, v in given.items() if v is not None})
+        settings = settings.changed(**given)
         place = cleanup.hold(reserve_result(out))
         check_not_inside(out, sequence, "The frames")
         cleanup.written_so_far = place.so_far

@@ -314,3 +314,14 @@ def test_gui_on_a_display_that_does_not_answer_is_one_sentence(
 
 def test_gui_with_a_missing_sequence_is_one_sentence(tmp_path: Path) -> None:
     refused(called("gui", tmp_path / "no"), "does not exist")
+
+
+def test_every_setting_has_one_option_with_its_unit_and_range() -> None:
+    import re
+
+    said = " ".join(called("run", "--help").stdout.split())
+    for name in Settings.model_fields:
+        (long,) = (n.split("/")[0] for n in Settings.options_of(name) if n.startswith("--"))
+        assert len(re.findall(rf"(?<!\w){long} ", said)) == 1, name
+    assert "0 to 1000 noise units" in said
+    assert "[0.1 to 3 LR px]" in said

@@ -16,10 +16,10 @@ from pv_inspect.calibration.refit import residual_over_kappa
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.settings import Settings
 
 __all__ = ["Curve", "KappaCurve"]
 
-KAPPA_RANGE = 0.6
 N_KAPPAS = 25
 REST_MS = 300
 
@@ -81,7 +81,7 @@ class KappaCurve:
             return
         self._of = fit
         kappa = float(fit.camera.kappa)
-        kappas = np.unique(np.append(np.linspace(-KAPPA_RANGE, KAPPA_RANGE, N_KAPPAS), kappa))
+        kappas = np.unique(np.append(np.linspace(*Settings.slider_of("kappa"), N_KAPPAS), kappa))
         self._newest.ask(partial(_curve, crossings, fit, kappas))
 
     def _on_curve(self, answer: Curve | InspectionError) -> None:

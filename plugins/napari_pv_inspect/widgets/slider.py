@@ -35,11 +35,9 @@ class SettingSlider(QWidget):
     Parameters
     ----------
     name : str
-        Field of Settings; gives the tooltip.
+        Field of Settings; gives the tooltip, the range of the slider and the limits of the number.
     title : str
         Stands above the slider.
-    low, high : float
-        Range of the slider and of the number.
     decimals : int
     logarithmic : bool
         Equal ways of the slider are equal ratios; needs ``low`` > 0.
@@ -51,19 +49,19 @@ class SettingSlider(QWidget):
         self,
         name: str,
         title: str,
-        low: float,
-        high: float,
         decimals: int,
         logarithmic: bool = False,
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
-        self._low, self._high, self._log = low, high, logarithmic
+        low, high = self._low, self._high = Settings.slider_of(name)
+        self._log = logarithmic
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, STEPS)
         self.number = QDoubleSpinBox()
         self.number.setDecimals(decimals)
-        self.number.setRange(low, high)
+        least, most = Settings.limits_of(name)
+        self.number.setRange(low if least is None else least, high if most is None else most)
         self.number.setKeyboardTracking(False)
         if logarithmic:
             self.number.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)

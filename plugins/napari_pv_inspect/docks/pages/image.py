@@ -28,8 +28,6 @@ from pv_inspect.settings import Settings
 __all__ = ["ImageBox"]
 
 NEEDS_A_RUN = "Run once: the curve comes with the module image."
-LAMBDA_RANGE = (1e-4, 10.0)
-SIGMA_RANGE = (0.1, 3.0)
 PRIORS = {
     "sparse_curvature": (
         "Sharp edges",
@@ -58,17 +56,13 @@ class ImageBox(QGroupBox):
         super().__init__("Module image", parent)
         self._model = model
         self._live = live
-        self.magnification = SettingSlider("magnification", "Magnification", 1.0, 6.0, decimals=2)
-        self.prior_weight = SettingSlider(
-            "prior_weight", "Lambda", *LAMBDA_RANGE, 4, logarithmic=True
-        )
+        self.magnification = SettingSlider("magnification", "Magnification", decimals=2)
+        self.prior_weight = SettingSlider("prior_weight", "Lambda", 4, logarithmic=True)
         self.automatic = QCheckBox("automatic")
         self.automatic.setToolTip(
             "Choose lambda so that the image predicts pixels best that it has not seen."
         )
-        self.psf_sigma = SettingSlider(
-            "psf_sigma_lr_px", "PSF sigma, LR px", *SIGMA_RANGE, 2, logarithmic=True
-        )
+        self.psf_sigma = SettingSlider("psf_sigma_lr_px", "PSF sigma, LR px", 2, logarithmic=True)
         self.estimated = QCheckBox("estimated")
         self.estimated.setToolTip(
             "Estimate the blur of the lens from the frames. Unit of the slider: LR px."
@@ -146,7 +140,7 @@ class ImageBox(QGroupBox):
         self._model.change_settings(motion_blur="auto" if undone else "none")
 
     def _on_chosen(self, weight: float) -> None:
-        low, high = LAMBDA_RANGE
+        low, high = Settings.slider_of("prior_weight")
         self._model.change_settings(prior_weight=min(max(weight, low), high))
         self._live.settle()
 

@@ -17,7 +17,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.live.grid import LiveKappa
-from napari_pv_inspect.live.kappa_curve import KAPPA_RANGE, Curve, KappaCurve
+from napari_pv_inspect.live.kappa_curve import Curve, KappaCurve
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.kappa_plot import CurveView
 from napari_pv_inspect.widgets.listen import listen
@@ -45,7 +45,7 @@ class LensBox(QGroupBox):
         super().__init__("Lens", parent)
         self._model = model
         self._live = live
-        self.kappa = SettingSlider("kappa", "Kappa", -KAPPA_RANGE, KAPPA_RANGE, decimals=4)
+        self.kappa = SettingSlider("kappa", "Kappa", decimals=4)
         self.fit = QPushButton("Fit")
         self.fit.setToolTip("Let the fit choose kappa, and show the fitted grid again.")
         self.residual = QLabel("kappa is fitted with the grid.")
