@@ -2,12 +2,13 @@
 
 PYTHON := .venv/bin/python
 INSTALLED := .venv/.installed
+DOCS_INSTALLED := .venv/.installed_docs
 PYTEST := $(PYTHON) -m pytest
 # The core is tested without Qt and napari: their pytest plugins would load them.
 WITHOUT_GUI := -p no:pytest-qt -p no:napari -p no:npe2 -p no:napari-plugin-engine
 
 .DEFAULT_GOAL := help
-.PHONY: help demo tour test fuzz lint format test-core test-plugin test-window constraints clean
+.PHONY: help demo tour test fuzz docs lint format test-core test-plugin test-window constraints clean
 
 help: ## say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /\1\t/' | expand -t 15
@@ -28,6 +29,9 @@ test: $(INSTALLED) ## everything that CI runs
 	@$(MAKE) --no-print-directory test-core
 	@$(MAKE) --no-print-directory test-plugin
 	@$(MAKE) --no-print-directory test-window
+
+docs: $(DOCS_INSTALLED) ## build the documentation site, without warnings and network; build/site/
+	$(PYTHON) -m mkdocs build --strict
 
 fuzz: $(INSTALLED) ## every reader with 24,000 damaged and odd inputs, on two cores in some minutes
 	$(PYTHON) -m benchmarks.fuzz --cases 24000 --jobs 2
@@ -66,4 +70,9 @@ clean: ## remove the environment and everything that was made
 
 $(INSTALLED): pyproject.toml constraints.txt scripts/bootstrap.sh
 	@scripts/bootstrap.sh python
+	@touch $@
+
+# What the site is built with; `make test` does without.
+$(DOCS_INSTALLED): $(INSTALLED)
+	@scripts/bootstrap.sh docs
 	@touch $@

@@ -2,6 +2,7 @@
 # Brings a fresh machine to the point where the project runs. Used by the Makefile.
 #
 #   bootstrap.sh python            .venv with the pinned packages and the project, editable
+#   bootstrap.sh docs              what `make docs` builds the site with, into the same .venv
 #   bootstrap.sh libraries SET     the system libraries of SET that are missing, where it may:
 #                                  offscreen (Qt without a window), window (Qt under X11),
 #                                  xvfb (window, and a virtual screen with software OpenGL)
@@ -63,10 +64,17 @@ make_venv() {
 setup_python() {
     "$VENV/bin/python" -c "import sys, pip; sys.exit(not $SUPPORTED)" >/dev/null 2>&1 || make_venv
     echo "Installing the pinned packages into $VENV: about 1 GB, a few minutes"
-    pip="$VENV/bin/python -m pip --disable-pip-version-check"
     # The build tools are pinned as well, so the project is built without an environment of its own.
-    $pip install --quiet --constraint constraints.txt hatchling editables
-    $pip install --quiet --constraint constraints.txt --no-build-isolation --editable ".[gui,notebook,dev]"
+    pip_install hatchling editables
+    pip_install --no-build-isolation --editable ".[gui,notebook,dev]"
+}
+
+setup_docs() {
+    pip_install --no-build-isolation --editable ".[docs]"
+}
+
+pip_install() {
+    "$VENV/bin/python" -m pip --disable-pip-version-check install --quiet --constraint constraints.txt "$@"
 }
 
 # What Qt and OpenGL load at run time: "library Debian-package". PySide6 brings the rest.
@@ -125,6 +133,7 @@ setup_libraries() {
 
 case ${1-} in
 python) setup_python ;;
+docs) setup_docs ;;
 libraries) setup_libraries "${2-}" ;;
-*) fail "usage: bootstrap.sh python | libraries SET" ;;
+*) fail "usage: bootstrap.sh python | docs | libraries SET" ;;
 esac

@@ -15,7 +15,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """[[A, B], [B^T, C]] [homographies; common] = [a; c], A block-diagonal, one block per frame."""
+    """``[[A, B], [B^T, C]] [homographies; common] = [a; c]``, A with one block per frame."""
 
     A: Array
     B: Array
