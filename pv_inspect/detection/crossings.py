@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -106,7 +107,11 @@ def crossings_of(
     ideal = layout.crossings()
     total = np.zeros((layout.n_crossings, 2))
     weight = np.zeros((layout.n_crossings, 2))
-    spread = 1.4826 * np.median(np.abs(offsets.offset[offsets.found])) if offsets.found.any() else 1
+    spread = (
+        MAD_TO_SIGMA * np.median(np.abs(offsets.offset[offsets.found]))
+        if offsets.found.any()
+        else 1
+    )
     use = offsets.found & (np.abs(offsets.offset) < 5 * max(spread, 1e-3))
     precision = np.where(use, 1.0 / np.hypot(offsets.sigma, spread) ** 2, 0.0)
     axis = np.argmax(np.abs(edges.normal), axis=1)

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.detection.gap_model import (
     BESIDE,
     GAP_SHAPES,
@@ -244,7 +245,7 @@ def _robust_means(values: Array, sigma: Array) -> tuple[Array, Array]:
     mean = np.nanmedian(values, axis=1)
     for _ in range(ROBUST_ITERATIONS):
         distance = np.abs(filled - mean[:, None]) * np.sqrt(precision)
-        usual = 1.4826 * np.nanmedian(np.where(known, distance, np.nan), axis=1)
+        usual = MAD_TO_SIGMA * np.nanmedian(np.where(known, distance, np.nan), axis=1)
         weight = precision / (1 + np.square(distance / (usual[:, None] + 0.3)))
         mean = (weight * filled).sum(axis=1) / weight.sum(axis=1)
     return mean, 1 / np.sqrt(precision.mean(axis=1))

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -262,7 +263,7 @@ def fit_pose(
 
 def _noise(image: NDArray[np.float32]) -> float:
     difference = np.diff(image, axis=1)
-    return float(1.4826 * np.median(np.abs(difference - np.median(difference))) / np.sqrt(2))
+    return float(MAD_TO_SIGMA * np.median(np.abs(difference - np.median(difference))) / np.sqrt(2))
 
 
 def _closed(mask: NDArray[np.uint8], size: int, opening: int) -> NDArray[np.uint8]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.sequence import FrameSequence
 
@@ -28,7 +29,6 @@ LIMIT = 3.0
 """Robust standard deviations at which a value is cut: no dark cell decides alone."""
 LEAST_LINE = 4
 """Cells in a line from which on what the line has in common is taken out too."""
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from pv_inspect.cracks import CellCounts, CellFeatures, CrackMap
@@ -22,6 +21,7 @@ from pv_inspect.reports.pictures import (
     jpeg_url,
     shrunk,
 )
+from pv_inspect.reports.templates import rendered
 
 if TYPE_CHECKING:
     from pv_inspect.inspection.inspection import Inspection
@@ -119,15 +119,14 @@ def _html(
     doubts: tuple[str, ...],
     warnings: tuple[str, ...],
 ) -> str:
-    environment = Environment(
-        loader=PackageLoader("pv_inspect"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("inspection.html.j2").render(
-        title=title, picture=picture, rows=rows, missing=missing, doubts=doubts, warnings=warnings
+    return rendered(
+        "inspection.html.j2",
+        title=title,
+        picture=picture,
+        rows=rows,
+        missing=missing,
+        doubts=doubts,
+        warnings=warnings,
     )
 
 

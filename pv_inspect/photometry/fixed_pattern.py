@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, uniform_filter
 
+from pv_inspect.common.robust import MAD_TO_SIGMA, MEDIAN_CHI2
 from pv_inspect.photometry.residual_sums import COUNT, LIGHT, LIGHT2, MISFIT, PRODUCT, ResidualSums
 
 __all__ = ["Estimate", "columns_of_frames", "fixed_columns", "pixel_gains", "shrink"]
@@ -30,9 +31,6 @@ _SIGNIFICANCE = 4.0
 _TYPICAL = 0.2
 # Robust standard deviations at which an element counts for no more when the strength is told.
 _OUTLIER = 8.0
-_MAD_TO_SIGMA = 1.4826
-# Median of the square of a standard normal variable.
-_MEDIAN_CHI2 = 0.455
 _LEAST_ELEMENTS = 30
 
 
@@ -73,14 +71,14 @@ def shrink(first: Estimate, second: Estimate) -> Array:
     known &= lesser > _TYPICAL * np.median(lesser[known])
     if known.sum() < _LEAST_ELEMENTS:
         return np.zeros_like(mean)
-    limit = _OUTLIER * _MAD_TO_SIGMA * float(np.median(np.abs(mean[known])))
+    limit = _OUTLIER * MAD_TO_SIGMA * float(np.median(np.abs(mean[known])))
     a, b = (np.clip(e.value[known], -limit, limit) for e in (first, second))
     strength = float((a * b).mean())
     if not strength > _SIGNIFICANCE * float((a * b).std()) / np.sqrt(known.sum()):
         return np.zeros_like(mean)
     claimed = 1.0 / first.precision[known] + 1.0 / second.precision[known]
     difference = (first.value - second.value)[known]
-    excess = max(float(np.median(difference**2 / claimed)) / _MEDIAN_CHI2, 1.0)
+    excess = max(float(np.median(difference**2 / claimed)) / MEDIAN_CHI2, 1.0)
     shrunk: Array = mean * strength * total / (strength * total + excess)
     return shrunk
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.observation.model import ObservationModel
 from pv_inspect.photometry.fixed_pattern import columns_of_frames, fixed_columns, pixel_gains
 from pv_inspect.photometry.residual_sums import ResidualSums, halves_along
@@ -41,7 +42,6 @@ _HUBER = 4.0
 # Noise levels that a whole frame may be off before it counts for less: with a blur that the model
 # doesn't know it is 1.5, with another module in it 5 and more.
 _WHOLE_FRAME = 2.0
-_MAD_TO_SIGMA = 1.4826
 # Gaussian that the light is smoothed with before the noise is read off it, and where it ends.
 _SMOOTH_LR_PX, _REACH = 1.0, 4
 # HR pixels between the points that the mean vignetting is computed at.
@@ -147,7 +147,7 @@ def huber_weights(g: Image, predicted: Image, weights: Image) -> Image:
     seen = (weights > 0) & (predicted != 0)
     if not seen.any():
         return weights
-    spread = _MAD_TO_SIGMA * float(np.median(z[seen]))
+    spread = MAD_TO_SIGMA * float(np.median(z[seen]))
     limit = _HUBER * max(spread, 1.0)
     share = np.where(seen, limit / np.maximum(z, limit), 1.0)
     share *= min(1.0, _WHOLE_FRAME / max(spread, 1.0)) ** 2

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets, cell_edges, measure_gaps_robustly
 from pv_inspect.detection.gap_model import GapShape
 from pv_inspect.geometry.camera import Camera
@@ -135,7 +136,7 @@ def _fit(
         design = np.vstack([rows / size * w[:, None], prior])
         solution, *_ = np.linalg.lstsq(design, np.append(values * w, np.zeros(11)), rcond=None)
         residual = (values - rows / size @ solution) / sigma
-        usual = max(1.4826 * float(np.median(np.abs(residual))), 1e-3)
+        usual = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-3)
         weight = 1 / (1 + (residual / (CAUCHY * usual)) ** 2)
     return np.asarray(solution / size)
 

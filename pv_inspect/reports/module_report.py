@@ -9,7 +9,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.versions import versions
@@ -20,6 +19,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
+from pv_inspect.reports.templates import rendered
 from pv_inspect.settings import Settings
 
 __all__ = ["render_report", "with_review_state"]
@@ -70,14 +70,7 @@ def render_report(inspection: Inspection) -> str:
         raise InspectionError(
             "This inspection is not complete, so that no report can be written: run it to its end."
         )
-    environment = Environment(
-        loader=PackageLoader("pv_inspect"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(**_content(inspection))
+    return rendered("report.html.j2", **_content(inspection))
 
 
 def with_review_state(page: bytes, state: str) -> bytes:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from pv_inspect.common.versions import versions
@@ -20,6 +19,7 @@ from pv_inspect.errors import printable
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.reports.module_report import with_review_state
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
+from pv_inspect.reports.templates import rendered
 from pv_inspect.results.read import check_unchanged
 from pv_inspect.results.record import Result
 from pv_inspect.review.selection import progress
@@ -120,15 +120,8 @@ def render_review(
     str
         HTML with everything in it.
     """
-    environment = Environment(
-        loader=PackageLoader("pv_inspect"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     content = _content(result, verdicts, module or ModuleData(), corrected or {})
-    return environment.get_template("review.html.j2").render(**content)
+    return rendered("review.html.j2", **content)
 
 
 def _content(

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from pv_inspect.common.robust import MAD_TO_SIGMA
+
 __all__ = [
     "black_level",
     "column_offsets",
@@ -43,7 +45,6 @@ _FRAMES_FOR_TEMPORAL_TEST = 3
 # A point that came through the optics gives at least this share of its peak to a 4-neighbour
 # (optical sigma 0.4 LR px before the square aperture, point on the pixel centre: 0.13).
 _SPREAD_OF_A_POINT = 0.12
-_MAD_TO_SIGMA = 1.4826
 
 
 def effective_depth(maximum: int, used_bits: int, stored_bits: int) -> tuple[int, float]:
@@ -141,7 +142,7 @@ def defective_pixels(stack: NDArray[np.unsignedinteger], full_scale: float) -> M
     middle, weak, strong = _temporal_deviation(stack)
     size = np.abs(middle)
     around = 1.25 * (cv2.blur(size, (7, 7)) * 49.0 - size) / 48.0
-    everywhere = _MAD_TO_SIGMA * float(np.median(size))
+    everywhere = MAD_TO_SIGMA * float(np.median(size))
     times = _TIMES_SURROUNDINGS if in_time else _TIMES_SURROUNDINGS_IN_SPACE
     least = _LEAST_DEFECT * max(1.0, 10.0 / n)
     threshold = np.maximum(times * around, max(_SIGNIFICANCE * everywhere, least * full_scale))

@@ -19,12 +19,13 @@ from qtpy.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox
 from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
 from napari_pv_inspect.docks.gallery_list import BAR, GAP, cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
-from napari_pv_inspect.live.single_frame import best_frame, contours
+from napari_pv_inspect.live.single_frame import contours
 from napari_pv_inspect.review.controller import LITTLE_PATIENCE_S
 from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.single_frame import best_frame
 from pv_inspect.results.read import read_result
 from pv_inspect.results.write import write_result
 from pv_inspect.review import ReviewStore, Verdict, VerdictKind
@@ -296,7 +297,9 @@ def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
     dock, view = large
     assert all(panel._image is not None for panel in view.panels)
     inspection = dock.bench.model.inspection
-    frame = best_frame(inspection, (1, 1))
+    motion = inspection.reconstruction.motion
+    frame = best_frame(inspection.registration, inspection.sequence.shape, (1, 1), motion)
+    assert frame is not None
     assert inspection.sequence.names[frame] in view.frame_panel.title
     tile = inspection.tiles.images[1, 1]
     bicubic = view._frame.bicubic

@@ -6,22 +6,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from time import perf_counter
 
-import numpy as np
-
 from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.preview import Preview, Region, with_kappa
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
-from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.reconstruction.single_frame import best_frame, bicubic
 from pv_inspect.registration.registration import Registration
 from pv_inspect.settings import Settings
 
 __all__ = [
     "CellRenderer",
     "basis_of",
-    "best_frame",
     "bicubic_cell",
     "default_cell",
     "lambda_in_use",
@@ -153,39 +150,15 @@ def run_cell(inspection: Inspection, cell: Cell) -> CellPicture | None:
     return CellPicture(made.image[made.grid.cell_slices(*cell)], cell, caption)
 
 
-def best_frame(inspection: Inspection, cell: Cell) -> int:
-    """Return the frame that a cell is seen in whole and that agrees best with the module image.
-
-    Raises
-    ------
-    InspectionError
-        If no frame in use shows the whole cell.
-    """
-    registration = inspection.registration
-    assert registration is not None
-    height, width = inspection.sequence.shape
-    row, col = cell
-    down = 1.0 / inspection.layout.cell_aspect
-    corners = np.array(
-        [[col + dx, (row + dy) * down] for dx in (0.0, 1.0) for dy in (0.0, 1.0)], dtype=np.float64
-    )
-    best, least = -1, np.inf
-    for i in np.flatnonzero(registration.used):
-        px = registration.camera.project(registration.homographies[i], corners)
-        inside = np.isfinite(px).all() and (px >= 0).all() and (px <= (width - 1, height - 1)).all()
-        rms = float(np.nan_to_num(registration.rms[i], nan=1e9))
-        if inside and rms < least:
-            best, least = int(i), rms
-    if best < 0:
-        raise InspectionError("No frame in use shows this cell as a whole: choose another cell.")
-    return best
-
-
 def bicubic_cell(inspection: Inspection, cell: Cell, magnification: float) -> CellPicture:
     """Rectify a cell from its best frame: what there is without super-resolution."""
     registration = inspection.registration
     assert registration is not None
-    frame = best_frame(inspection, cell)
+    made = inspection.reconstruction
+    motion = None if made is None else made.motion
+    frame = best_frame(registration, inspection.sequence.shape, cell, motion)
+    if frame is None:
+        raise InspectionError("No frame in use shows this cell as a whole: choose another cell.")
     whole = HrGrid.covering(inspection.layout, registration.lr_px_per_unit, magnification)
     grid = whole.window(*whole.cell_slices(*cell))
     image = bicubic(inspection.sequence, registration, grid, frame)

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.observation.motion_blur import motion_of
-from pv_inspect.reconstruction.single_frame import bicubic
-from pv_inspect.registration.registration import Registration
+from pv_inspect.reconstruction.single_frame import best_frame, bicubic, nearest
 from pv_inspect.review import Cell
 
-__all__ = ["FramePanels", "best_frame", "contours", "frame_panels"]
+__all__ = ["FramePanels", "contours", "frame_panels"]
 
 Image = NDArray[np.float32]
 Points = NDArray[np.float64]
@@ -41,31 +38,6 @@ class FramePanels:
     bicubic: Image
 
 
-def best_frame(inspection: Inspection, cell: Cell) -> int | None:
-    """Return the frame that resolves a cell best; None if none shows all of it.
-
-    A pixel and its motion blur add as squares; the frame in which both are the smallest part of
-    the cell is the best.
-    """
-    registration, made = inspection.registration, inspection.reconstruction
-    if registration is None or made is None:
-        return None
-    row, col = cell
-    aspect = registration.layout.cell_aspect
-    corners = np.array([[col, row], [col + 1, row], [col + 1, row + 1], [col, row + 1]], float)
-    corners[:, 1] /= aspect
-    height, width = inspection.sequence.shape
-    scores = {}
-    for i in np.flatnonzero(registration.used):
-        px = registration.camera.project(registration.homographies[i], corners)
-        if not np.isfinite(px).all() or (px < 0).any() or (px > [width - 1, height - 1]).any():
-            continue
-        area = cv2.contourArea(px.astype(np.float32))
-        blur = 1.0 + float(np.sum(motion_of(*made.motion[i]) ** 2))
-        scores[int(i)] = area / blur
-    return max(scores, key=lambda i: scores[i], default=None)
-
-
 def frame_panels(inspection: Inspection, cell: Cell) -> FramePanels:
     """Rectify a cell out of its best frame.
 
@@ -74,30 +46,19 @@ def frame_panels(inspection: Inspection, cell: Cell) -> FramePanels:
     InspectionError
         If no frame shows the whole cell, or the frame can't be read any more.
     """
-    frame = best_frame(inspection, cell)
     registration, made = inspection.registration, inspection.reconstruction
-    if frame is None or registration is None or made is None:
-        raise InspectionError("No frame shows the whole cell.")
+    if registration is None or made is None:
+        raise InspectionError("There is no module image yet.")
+    frame = best_frame(registration, inspection.sequence.shape, cell, made.motion)
+    if frame is None:
+        raise InspectionError("No frame in use shows the whole cell.")
     window = made.grid.window(*made.grid.cell_slices(*cell))
     return FramePanels(
         frame,
         inspection.sequence.names[frame],
-        _nearest(inspection, registration, window, frame),
+        nearest(inspection.sequence, registration, window, frame),
         bicubic(inspection.sequence, registration, window, frame),
     )
-
-
-def _nearest(inspection: Inspection, registration: Registration, grid: HrGrid, frame: int) -> Image:
-    offset, gain = float(registration.offset[frame]), float(registration.gain[frame])
-    image = np.asarray((inspection.sequence.frame(frame).image - offset) / gain, np.float32)
-    y, x = np.mgrid[: grid.shape[0], : grid.shape[1]].astype(np.float64)
-    points = grid.to_module(np.stack([x, y], axis=-1))
-    px = registration.camera.project(registration.homographies[frame], points)
-    px = np.nan_to_num(px, nan=-10.0).astype(np.float32)
-    found = cv2.remap(
-        image, px[..., 0], px[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT
-    )
-    return np.asarray(found, np.float32)
 
 
 def contours(mask: NDArray[np.bool_]) -> list[Points]:
