@@ -18,7 +18,7 @@ from pv_inspect.sequence.sensor import (
     temporal_median,
 )
 
-__all__ = ["check_frames", "read_reference"]
+__all__ = ["DecodedFrames", "check_frames", "read_reference"]
 
 Raw = NDArray[np.unsignedinteger]
 
@@ -26,8 +26,38 @@ Raw = NDArray[np.unsignedinteger]
 _SMALLEST_SIDE_PX = 32
 
 
+class DecodedFrames:
+    """The frames as they are on disk; the first ones are kept once they were decoded.
+
+    Parameters
+    ----------
+    files : tuple of FrameFile
+    most_bytes : int
+        So much is kept.
+    """
+
+    def __init__(self, files: tuple[FrameFile, ...], most_bytes: int) -> None:
+        self._files = files
+        self._left = most_bytes
+        self._kept: dict[int, Raw] = {}
+
+    def __getitem__(self, index: int) -> Raw:
+        """Return a frame, (height, width) uint8 or uint16."""
+        known = self._kept.get(index)
+        if known is not None:
+            return known
+        image = read_frame(self._files[index])
+        if image.nbytes <= self._left:
+            self._left -= image.nbytes
+            self._kept[index] = image
+        return image
+
+
 def check_frames(
-    files: tuple[FrameFile, ...], names: tuple[str, ...], contents: FrameContents
+    files: tuple[FrameFile, ...],
+    names: tuple[str, ...],
+    contents: FrameContents,
+    decoded: DecodedFrames,
 ) -> tuple[tuple[int, int], int, int]:
     """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
     shape = Counter(file.shape for file in files).most_common(1)[0][0]
@@ -50,8 +80,8 @@ def check_frames(
             f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
             f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
         )
-    for file in files:
-        image = read_frame(file)
+    for index in range(len(files)):
+        image = decoded[index]
         maximum = max(maximum, int(image.max()))
         used_bits |= int(np.bitwise_or.reduce(image, axis=None))
         contents.add(image)

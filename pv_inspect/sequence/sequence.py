@@ -20,7 +20,7 @@ from pv_inspect.sequence.frame import Frame, prepared
 from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.sequence.frame_list import list_frames
 from pv_inspect.sequence.noise import NoiseModel, estimate_noise
-from pv_inspect.sequence.opening import check_frames, read_reference
+from pv_inspect.sequence.opening import DecodedFrames, check_frames, read_reference
 from pv_inspect.sequence.sensor import (
     black_level,
     column_offsets,
@@ -169,8 +169,9 @@ class FrameSequence:
         root, files, names = found.root, found.files, found.names
         hint = read_sidecar(root, list(found.paths))
         contents = FrameContents()
-        shape, maximum, used_bits = check_frames(files, names, contents)
-        copies = contents.copies(lambda index: read_frame(files[index]))
+        decoded = DecodedFrames(files, _SAMPLE_BYTES)
+        shape, maximum, used_bits = check_frames(files, names, contents, decoded)
+        copies = contents.copies(decoded.__getitem__)
         dtype = files[0].dtype
         dark = None
         if dark_frame is not None:
@@ -179,11 +180,11 @@ class FrameSequence:
             used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
         depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
 
-        distinct = [file for index, file in enumerate(files) if index not in copies]
+        distinct = [index for index in range(len(files)) if index not in copies]
         most = max(_LEAST_SAMPLES, _SAMPLE_BYTES // (dtype.itemsize * shape[0] * shape[1]))
         n_picks = min(len(distinct), _SAMPLE_FRAMES, most)
         picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
-        stack = np.stack([read_frame(distinct[int(i)]) for i in picks])
+        stack = np.stack([decoded[distinct[int(i)]] for i in picks])
         defects = defective_pixels(stack, full_scale)
         if dark is None:
             columns = column_offsets(stack, full_scale)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 import socket
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import tifffile
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.sequence.frame_list import existing_image, list_frames
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -168,7 +170,7 @@ def test_small_files_that_unfold_to_very_much_are_refused_by_their_headers(
     # Each page is within the limits, and all of them share one strip.
     page = tags(5000, 6000, 8, 4)
     (tmp_path / "x.tif").write_bytes(tiff([page] * 300, b"\1\2\3\4"))
-    monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
+    monkeypatch.setattr("pv_inspect.sequence.opening.read_frame", None)
     with pytest.raises(InspectionError, match=r"unfold from 0\.0\d+ MB to 9000 MB"):
         FrameSequence.open(tmp_path / "x.tif")
 
@@ -184,7 +186,7 @@ def test_frames_of_other_sizes_are_refused_before_anything_is_decoded(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(folder / "other.tif", shape=(60, 50))
-    monkeypatch.setattr("pv_inspect.sequence.sequence.read_frame", None)
+    monkeypatch.setattr("pv_inspect.sequence.opening.read_frame", None)
     with pytest.raises(InspectionError, match=r"other\.tif is 50 x 60, the sequence is 50 x 40"):
         FrameSequence.open(folder)
 
@@ -208,3 +210,15 @@ def test_a_name_that_is_too_long_or_holds_a_null_is_one_sentence(tmp_path: Path)
     assert "can't be read (File name too long)" in complaint(tmp_path / ("x" * 300))
     assert r"\x00.tif does not exist" in complaint(tmp_path / "\0.tif")
     assert r"\x00.tif is no existing file" in complaint([tmp_path / "\0.tif"])
+
+
+def test_opening_decodes_every_frame_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    decoded: list[str] = []
+
+    def counted(file: FrameFile) -> Any:
+        decoded.append(str(file))
+        return read_frame(file)
+
+    monkeypatch.setattr("pv_inspect.sequence.opening.read_frame", counted)
+    sequence = FrameSequence.open(folder)
+    assert len(decoded) == len(set(decoded)) == len(sequence)
