@@ -43,7 +43,7 @@ lint: $(INSTALLED) ## ruff, mypy, and the floors that no import may climb
 	MYPYPATH=plugins $(PYTHON) -m mypy plugins/napari_pv_inspect
 	.venv/bin/lint-imports --no-logo
 
-format: $(INSTALLED) ## put every file into the house's form
+format: $(INSTALLED) ## format all files and mend what ruff can
 	$(PYTHON) -m ruff check --fix .
 	$(PYTHON) -m ruff format .
 
