@@ -31,7 +31,7 @@ from napari_pv_inspect.live.cell_renderer import CellRenderer
 from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import sample_folder
-from napari_pv_inspect.tasks.memory import few_arenas, left_alone
+from napari_pv_inspect.tasks.memory import gc_frozen, limit_malloc_arenas
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.pipeline import inspect
 from pv_inspect.sequence.sequence import FrameSequence
@@ -293,11 +293,11 @@ def main(arguments: list[str]) -> None:
     options = parser.parse_args(arguments)
     sequence = FrameSequence.open(options.sequence or sample_folder())
     hint = {k: sequence.layout_hint.get(k) for k in ("rows", "cols", "cell_aspect")}
-    few_arenas()
+    limit_malloc_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
-    with left_alone():
+    with gc_frozen():
         inspection = inspect(sequence, Settings(**hint))
         dock.bench.model.open(sequence)
         results, heart, watch = measure(dock, inspection)

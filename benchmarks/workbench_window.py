@@ -16,7 +16,7 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.application import build
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.sample import sample_folder
-from napari_pv_inspect.tasks.memory import few_arenas
+from napari_pv_inspect.tasks.memory import limit_malloc_arenas
 
 SIZE = (1280, 800)
 LIMIT_S = 30.0
@@ -75,7 +75,7 @@ class Times:
 
 def opened(sequence: Path | None) -> tuple[napari.Viewer, InspectDock]:
     """Return a window with a sequence in it, in a process as `application.run` keeps it."""
-    few_arenas()
+    limit_malloc_arenas()
     viewer = napari.Viewer(title="pv-inspect", show=True)
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)

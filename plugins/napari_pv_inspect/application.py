@@ -8,7 +8,7 @@ import napari
 
 from napari_pv_inspect.docks.gallery import CellsDock
 from napari_pv_inspect.docks.inspect import InspectDock
-from napari_pv_inspect.tasks.memory import few_arenas, left_alone
+from napari_pv_inspect.tasks.memory import gc_frozen, limit_malloc_arenas
 
 __all__ = ["build", "run"]
 
@@ -28,10 +28,10 @@ def build(viewer: napari.Viewer) -> tuple[InspectDock, CellsDock]:
 
 def run(path: Path | None) -> None:
     """Open the window, load ``path`` into it, and return when it is closed."""
-    few_arenas()
+    limit_malloc_arenas()
     viewer = napari.Viewer(title=TITLE)
     inspect, _ = build(viewer)
     if path is not None:
         inspect.bench.open(path)
-    with left_alone():
+    with gc_frozen():
         napari.run()

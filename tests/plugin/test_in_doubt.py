@@ -17,7 +17,7 @@ from napari_pv_inspect.docks.pages.workflow import COLOURS
 from napari_pv_inspect.layers.frames import CAPTION_LETTERS
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.models.workflow import Status, steps_of
-from napari_pv_inspect.widgets.wrapped_text import Told
+from napari_pv_inspect.widgets.wrapped_text import SentenceList
 from pv_inspect.cracks import CellState
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.doubts import doubts_of
@@ -172,14 +172,14 @@ def test_long_sentences_are_shown_whole(bench: Any, tiny_inspection: Inspection)
 
 
 def test_a_told_text_is_as_high_as_its_lines(qtbot: QtBot) -> None:
-    told = Told("#ffffff")
+    told = SentenceList("#ffffff")
     qtbot.addWidget(told)
     told.resize(300, 20)
-    told.tell((LONG, LONG))
+    told.show_sentences((LONG, LONG))
     told.show()
     line = told.fontMetrics().lineSpacing()
     assert told.sizeHint().height() >= told.label.heightForWidth(300) > 4 * line
-    told.tell((LONG,) * 20)
+    told.show_sentences((LONG,) * 20)
     assert told.sizeHint().height() < 14 * line
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from weakref import ref
 
-from napari_pv_inspect.tasks.memory import left_alone
+from napari_pv_inspect.tasks.memory import gc_frozen
 
 
 class Ring:
@@ -18,7 +18,7 @@ class Ring:
 def test_what_lives_is_passed_over_and_what_comes_later_is_collected() -> None:
     old = Ring()
     before = ref(old)
-    with left_alone():
+    with gc_frozen():
         del old
         new = Ring()
         after = ref(new)

@@ -12,7 +12,7 @@ import numpy as np
 from napari.components import ViewerModel
 from napari.qt.threading import create_worker
 from qtpy.QtCore import Qt, Signal
-from qtpy.QtWidgets import QDockWidget, QLabel, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from napari_pv_inspect.appearance import contrast_limits
 from napari_pv_inspect.docks.cell_bar import CellBar
@@ -21,18 +21,19 @@ from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.live.single_frame import FramePanels, contours, frame_panels
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Mask, Subject
+from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.widgets.image_panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.panel_grid import PanelGrid
 from napari_pv_inspect.widgets.shortcuts import Key
-from napari_pv_inspect.widgets.style import Dress
+from napari_pv_inspect.widgets.style import ThemedStyle
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import grey
 from pv_inspect.review import Cell
 
-__all__ = ["CellDock", "dock_of", "focus_gallery"]
+__all__ = ["CellDock", "focus_gallery"]
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ class CellDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
-        self._dress = Dress(self, self._bench.viewer)
+        self._style = ThemedStyle(self, self._bench.viewer)
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
         self._found: tuple[object, Outlines] = (None, [])
@@ -329,13 +330,6 @@ def _frame_or_sentence(subject: Subject, cell: Cell) -> tuple[Subject, Cell, Fra
 def _support_colours(support: np.ndarray) -> np.ndarray:
     coloured = cv2.applyColorMap(grey(support, 0.0, 1.0), cv2.COLORMAP_VIRIDIS)
     return cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB)
-
-
-def dock_of(widget: QWidget | None) -> QDockWidget | None:
-    """Return the dock that a widget is in."""
-    while widget is not None and not isinstance(widget, QDockWidget):
-        widget = widget.parentWidget()
-    return widget
 
 
 def focus_gallery(bench: Workbench) -> None:

@@ -28,7 +28,7 @@ from napari_pv_inspect.review.subject import Subject
 from napari_pv_inspect.widgets.folding_bar import FoldingBar
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.shortcuts import Key
-from napari_pv_inspect.widgets.style import Dress
+from napari_pv_inspect.widgets.style import ThemedStyle
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.cracks import CellState
 from pv_inspect.review import Cell, Order, VerdictKind
@@ -69,7 +69,7 @@ class CellsDock(QWidget):
         super().__init__()
         self._bench = Workbench.of(napari_viewer)
         self._bench.has_gallery = True
-        self._dress = Dress(self, self._bench.viewer)
+        self._style = ThemedStyle(self, self._bench.viewer)
         self.cells = CellList(self._review)
         self._delegate = TileDelegate(self._review, self.cells)
         self._sizing = QTimer(self)

@@ -38,7 +38,7 @@ from napari_pv_inspect.models.workflow import REVIEW, Deed
 from napari_pv_inspect.sample import sample_folder
 from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.listen import listen
-from napari_pv_inspect.widgets.style import CalmWheel, Dress, finish_typing
+from napari_pv_inspect.widgets.style import ThemedStyle, WheelNeedsFocus, finish_typing
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.record import Result
@@ -114,8 +114,8 @@ class InspectDock(QWidget):
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.result)
-        self._dress = Dress(self, bench.viewer)
-        self._calm = CalmWheel(self)
+        self._style = ThemedStyle(self, bench.viewer)
+        self._calm = WheelNeedsFocus(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)

@@ -8,7 +8,7 @@ from functools import partial
 from qtpy.QtCore import Qt, QTimer, Signal
 from qtpy.QtWidgets import QDockWidget, QMainWindow, QVBoxLayout, QWidget
 
-from napari_pv_inspect.docks.cell import GALLERY, CellDock, dock_of, focus_gallery
+from napari_pv_inspect.docks.cell import GALLERY, CellDock, focus_gallery
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.napari_internals import (
     canvas_area,
@@ -17,6 +17,7 @@ from napari_pv_inspect.napari_internals import (
     main_window,
 )
 from napari_pv_inspect.review.subject import Subject
+from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.workbench import Workbench
 

@@ -26,7 +26,7 @@ from napari_pv_inspect.live.cell import Source
 from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.shortcuts import Key
-from napari_pv_inspect.widgets.style import Dress
+from napari_pv_inspect.widgets.style import ThemedStyle
 from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.inspection.inspection import Inspection
@@ -43,7 +43,7 @@ class LiveDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self.bench = bench = Workbench.of(napari_viewer)
-        self._dress = Dress(self, bench.viewer)
+        self._style = ThemedStyle(self, bench.viewer)
         self._live = bench.live_cell
         self._picture: CellPicture | None = None
         self._limits: tuple[float, float] | None = None

@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QDockWidget, QMainWindow, QWidget
 
 from napari_pv_inspect.docks.live_cell import LiveDock
 from napari_pv_inspect.napari_internals import canvas_area, main_window
+from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.workbench import Workbench
 
 __all__ = ["show_live_cell"]
@@ -39,7 +40,7 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
             return live
     live = LiveDock(bench.viewer)
     place = bench.viewer.window.add_dock_widget(live, name="Live cell", area="right")
-    beside = _dock_of(controls)
+    beside = dock_of(controls)
     if beside is not None and not beside.isFloating():
         window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
         place.visibilityChanged.connect(partial(_narrow, ref(beside), beside.width()))
@@ -63,13 +64,6 @@ def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:
     place = None if shown or beside is None else beside.parentWidget()
     if isinstance(place, QMainWindow) and beside is not None and beside.isVisible():
         QTimer.singleShot(0, beside, partial(_resize, place, [beside], [width]))
-
-
-def _dock_of(widget: QWidget) -> QDockWidget | None:
-    parent = widget.parentWidget()
-    while parent is not None and not isinstance(parent, QDockWidget):
-        parent = parent.parentWidget()
-    return parent
 
 
 def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:

@@ -1,1 +1,1 @@
-"""Work beside the window."""
+"""Work in background threads."""

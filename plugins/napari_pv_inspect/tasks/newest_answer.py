@@ -1,4 +1,4 @@
-"""Work beside the window of which only the newest matters."""
+"""Runs work in a background thread; only the newest request is answered."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ class NewestAnswer(QObject):
         self._timer.start()
 
     def drop(self) -> None:
-        """Nothing is wanted any more."""
+        """Forget all requests; an answer that is under way is ignored."""
         self._number += 1
         self._wanted = None
         self._timer.stop()
 
     def close(self) -> None:
-        """Drop for good: the window closes."""
+        """Forget all requests for good: the window closes."""
         self.drop()
         self._done = None
 
@@ -89,6 +89,6 @@ def _answer(number: int, work: Callable[[], Any]) -> tuple[int, Any]:
     except InspectionError as error:
         return number, error
     except Exception as error:
-        log.exception("work beside the window failed")
+        log.exception("work in a background thread failed")
         text = f"This failed unexpectedly ({type(error).__name__}: {error})."
         return number, InspectionError(text)

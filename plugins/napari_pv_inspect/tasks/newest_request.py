@@ -1,4 +1,4 @@
-"""One thread that always works on the newest request; what is stale is given up. No Qt."""
+"""Runs requests in one thread; a newer request ends the work on an older one. No Qt."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class NewestWins:
         self._thread: Thread | None = None
 
     def submit(self, slot: str, job: Job) -> None:
-        """Ask for work; what waits in the slot is dropped."""
+        """Request work; what still waits in the slot is dropped."""
         with self._changed:
             if self._closed:
                 return
@@ -48,7 +48,7 @@ class NewestWins:
             self._changed.notify()
 
     def clear(self) -> None:
-        """Drop what waits."""
+        """Drop all waiting requests."""
         with self._changed:
             self._waiting = dict.fromkeys(self._waiting)
 

@@ -1,4 +1,4 @@
-"""Runs the pipeline beside the window: the generator's steps arrive in the main thread."""
+"""Runs the pipeline in a background thread; its steps arrive in the main thread."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from napari.qt.threading import GeneratorWorker
 from qtpy.QtCore import QObject, QThreadPool
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from napari_pv_inspect.tasks.memory import release
 from pv_inspect import pipeline
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection, Step
+from pv_inspect.memory import release
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
@@ -31,7 +31,7 @@ class Outcome:
     failure: str = ""
 
 
-def guarded(
+def pipeline_steps(
     sequence: FrameSequence, settings: Settings, start: Inspection | None, until: Stage | None
 ) -> Generator[Step, None, Outcome]:
     """Yield the steps of the pipeline and return an Outcome, whatever happens.
@@ -68,7 +68,7 @@ def _past(step: Step, until: Stage) -> bool:
 
 
 @dataclass(frozen=True)
-class _Wish:
+class _NextRun:
     """A run that waits for the current one to end."""
 
     until: Stage | None
@@ -89,8 +89,8 @@ class InspectionWorker(GeneratorWorker):  # type: ignore[misc]
 class RunController(QObject):
     """Starts, cancels and ends runs; one at a time, and one that waits.
 
-    The newest wish wins: with changed settings it ends the current run and takes its place, else
-    it waits for that run to end and goes on from there.
+    The newest request counts: with changed settings it ends the current run and takes its place,
+    else it waits for that run to end and continues from there.
 
     The signals of a worker are connected to bound methods of this object, which lives in the main
     thread: Qt then delivers them there, and drops them when the object is gone.
@@ -100,11 +100,11 @@ class RunController(QObject):
         super().__init__()
         self.model = model
         self._worker: InspectionWorker | None = None
-        # The run of a sequence that is no longer on the bench, on its way out.
-        self._leaving: InspectionWorker | None = None
+        # The run of a sequence that is no longer open; it still has to stop.
+        self._stopping: InspectionWorker | None = None
         self._outcome: Outcome | None = None
         self._until: Stage | None = None
-        self._waiting: _Wish | None = None
+        self._waiting: _NextRun | None = None
         model.sequence_changed.connect(self._on_sequence)
 
     @property
@@ -128,12 +128,14 @@ class RunController(QObject):
             self.model.notice(str(error), is_error=True)
             return False
         self._until, self._outcome = until, None
-        worker = InspectionWorker(guarded, self.model.sequence, self.model.settings, start, until)
+        worker = InspectionWorker(
+            pipeline_steps, self.model.sequence, self.model.settings, start, until
+        )
         worker.yielded.connect(self._on_step)
         worker.returned.connect(self._on_return)
         worker.finished.connect(self._on_finish)
         self._worker = worker
-        if self._leaving is None:
+        if self._stopping is None:
             worker.start()
         else:
             self.model.progress_changed.emit(0.0, "waiting for the run before to stop")
@@ -152,10 +154,10 @@ class RunController(QObject):
     def _wait(self, until: Stage | None) -> bool:
         stopping = self.model.run_state is RunState.STOPPING
         if self.model.run_is_outdated:
-            self._waiting = _Wish(until, even_after_failure=True)
+            self._waiting = _NextRun(until, even_after_failure=True)
             self._stop()
         elif stopping or until != self._until:
-            self._waiting = _Wish(until, even_after_failure=stopping)
+            self._waiting = _NextRun(until, even_after_failure=stopping)
             self.model.notice("Another run follows when this one has ended.")
         else:
             self.model.notice("Just this run is under way: change a setting, or cancel it.")
@@ -165,7 +167,7 @@ class RunController(QObject):
     def shutdown(self, wait_ms: int = 3000) -> None:
         """Stop for good: nothing reaches the model any more; wait briefly for the thread."""
         self._abandon()
-        worker, self._leaving = self._leaving, None
+        worker, self._stopping = self._stopping, None
         if worker is not None:
             worker.finished.disconnect(self._on_finish)
             QThreadPool.globalInstance().waitForDone(wait_ms)
@@ -180,21 +182,21 @@ class RunController(QObject):
         worker.returned.disconnect(self._on_return)
         worker.quit()
         # One that waits for another to stop never began.
-        self._leaving = self._leaving or worker
+        self._stopping = self._stopping or worker
 
     def _on_sequence(self, _: FrameSequence | None) -> None:
         self._abandon()
 
     def _on_step(self, step: Step) -> None:
-        if self._worker is not None and self._leaving is None:
+        if self._worker is not None and self._stopping is None:
             self.model.absorb(step)
 
     def _on_return(self, outcome: Outcome) -> None:
         self._outcome = outcome
 
     def _on_finish(self) -> None:
-        if self._leaving is not None:
-            self._leaving = None
+        if self._stopping is not None:
+            self._stopping = None
             release()
             if self._worker is not None:
                 self._worker.start()
@@ -203,7 +205,7 @@ class RunController(QObject):
             return
         self._worker = None
         outcome, self._outcome = self._outcome, None
-        wish, self._waiting = self._waiting, None
+        following, self._waiting = self._waiting, None
         if outcome is None:
             self.model.end_run(None, keep_draft=False)
             shown = self.model.inspection
@@ -213,14 +215,14 @@ class RunController(QObject):
         elif outcome.failure:
             self.model.end_run(None, keep_draft=False, why=outcome.failure)
             self.model.notice(outcome.failure, is_error=True)
-            if wish is not None and not wish.even_after_failure:
-                wish = None
+            if following is not None and not following.even_after_failure:
+                following = None
         else:
             self.model.end_run(outcome.inspection, keep_draft=self._until is not None)
             self.model.notice(_summary(self.model.inspection), is_error=bool(self.model.doubts))
         release()
-        if wish is not None:
-            self.start(wish.until)
+        if following is not None:
+            self.start(following.until)
 
 
 def _summary(inspection: Inspection | None) -> str:

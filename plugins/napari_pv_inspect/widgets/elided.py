@@ -1,4 +1,4 @@
-"""A label of one line that leaves out the middle of a long name."""
+"""A label of one line that elides the middle of a long name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["ElidedLabel"]
 
 
 class ElidedLabel(QLabel):
-    """Shows as much of a plain text as there is room for; `text` stays whole."""
+    """Shows as much of a plain text as fits; `text` keeps all of it."""
 
     def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
         super().__init__(text, parent)

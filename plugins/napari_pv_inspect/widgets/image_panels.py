@@ -102,7 +102,7 @@ class Panel(QWidget):
         view.changed.connect(self.repaint_soon)
 
     def repaint_soon(self) -> None:
-        """Paint when there is time."""
+        """Schedule a repaint."""
         self.update()
 
     def show_picture(self, picture: Pixels | None, sentence: str = "") -> None:
@@ -201,7 +201,7 @@ class Panel(QWidget):
         view.set(view.x - way.x() / width, view.y - way.y() / height, view.zoom)
 
     def mouseReleaseEvent(self, _: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
-        """Let go."""
+        """End a drag, or emit a click."""
         clicked = self._dragged_from is not None and self._is_click
         self._dragged_from = None
         self._is_click = False

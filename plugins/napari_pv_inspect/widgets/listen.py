@@ -16,7 +16,7 @@ def listen(signal: SignalInstance, method: Callable[..., None]) -> None:
     """Call a method of a widget on every emission, until Qt destroys the widget.
 
     A closed dock may live on in Python while its part in Qt is gone: without this, the next
-    change of the model would reach for it.
+    change of the model would call it.
     """
     weak = WeakMethod(method)
 

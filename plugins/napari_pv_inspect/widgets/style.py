@@ -1,4 +1,4 @@
-"""How the controls answer the hand: focus that is seen, one primary button, a calm wheel."""
+"""Style of the controls: visible focus, one primary button, a wheel that needs the focus."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from napari_pv_inspect.appearance import (
     PRIMARY_HOVER_COLOUR,
 )
 
-__all__ = ["CalmWheel", "Dress", "finish_typing", "set_primary", "style"]
+__all__ = ["ThemedStyle", "WheelNeedsFocus", "finish_typing", "set_primary", "style"]
 
 # A border takes its pixel from the padding: nothing moves when the focus comes.
 _STYLE = """
@@ -50,8 +50,8 @@ def style(theme: str) -> str:
     return text.replace("HOVER", PRIMARY_HOVER_COLOUR)
 
 
-class Dress(QObject):
-    """Keeps a dock of ours in its style, whichever theme napari has."""
+class ThemedStyle(QObject):
+    """Keeps the style sheet of a dock in step with the theme of napari."""
 
     def __init__(self, dock: QWidget, viewer: ViewerModel) -> None:
         super().__init__(dock)
@@ -64,7 +64,7 @@ class Dress(QObject):
 
 
 def set_primary(button: QPushButton, primary: bool) -> None:
-    """Make a button the one that catches the eye, or plain again."""
+    """Style a button as the primary one, or as a plain one again."""
     if bool(button.property("primary")) is not primary:
         button.setProperty("primary", primary)
         button.style().unpolish(button)
@@ -72,13 +72,13 @@ def set_primary(button: QPushButton, primary: bool) -> None:
 
 
 def finish_typing() -> None:
-    """Take over a number that is being typed: not every platform moves the focus on a click."""
+    """Enter a number that is being typed: not every platform moves the focus on a click."""
     field = QApplication.focusWidget()
     if isinstance(field, QAbstractSpinBox):
         field.interpretText()
 
 
-class CalmWheel(QObject):
+class WheelNeedsFocus(QObject):
     """Keeps the wheel from changing values that do not have the focus; the page scrolls instead.
 
     Parameters
@@ -95,7 +95,7 @@ class CalmWheel(QObject):
                 field.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
-        """Hand the wheel on to what lies below."""
+        """Pass the wheel on to the widget below."""
         if (
             event.type() == QEvent.Type.Wheel
             and isinstance(watched, QWidget)

@@ -1,4 +1,4 @@
-"""Sentences that are shown whole: wrapped, and scrolled only where they would take all the room."""
+"""A list of sentences, wrapped, with a scroll bar only where they would fill the dock."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from qtpy.QtCore import QSize, Qt
 from qtpy.QtGui import QResizeEvent
 from qtpy.QtWidgets import QFrame, QLabel, QScrollArea, QSizePolicy, QWidget
 
-__all__ = ["Told"]
+__all__ = ["SentenceList"]
 
 
-class Told(QScrollArea):
+class SentenceList(QScrollArea):
     """Some plain sentences, one below the other; hidden while there are none.
 
     Parameters
@@ -36,7 +36,7 @@ class Told(QScrollArea):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self.hide()
 
-    def tell(self, sentences: tuple[str, ...]) -> None:
+    def show_sentences(self, sentences: tuple[str, ...]) -> None:
         """Show other sentences."""
         self.label.setText("\n".join(sentences))
         self.setVisible(bool(sentences))

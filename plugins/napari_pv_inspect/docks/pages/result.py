@@ -10,7 +10,7 @@ from napari_pv_inspect.layers.navigation import Navigator
 from napari_pv_inspect.models.footer import capitalised, facts_of
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.listen import listen
-from napari_pv_inspect.widgets.wrapped_text import Told
+from napari_pv_inspect.widgets.wrapped_text import SentenceList
 
 __all__ = ["ResultBox"]
 
@@ -25,10 +25,10 @@ class ResultBox(QWidget):
     ) -> None:
         super().__init__(parent)
         self._model = model
-        self.doubts = Told(DOUBT_COLOUR)
+        self.doubts = SentenceList(DOUBT_COLOUR)
         self.summary = QLabel()
         self.summary.setWordWrap(True)
-        self.warnings = Told(WARNING_COLOUR, most_lines=4)
+        self.warnings = SentenceList(WARNING_COLOUR, most_lines=4)
         self.save = QPushButton("Save result...")
         self.save.setToolTip("Write module image, cells, crack map and report into a folder.")
         row = QHBoxLayout()
@@ -68,9 +68,9 @@ class ResultBox(QWidget):
     def _on_change(self, _: object = None) -> None:
         model = self._model
         facts = facts_of(model)
-        self.doubts.tell(tuple(f"In doubt: {doubt}" for doubt in facts.doubts))
+        self.doubts.show_sentences(tuple(f"In doubt: {doubt}" for doubt in facts.doubts))
         self.summary.setText("\n".join(filter(None, (capitalised(facts.cells), facts.numbers))))
         self.summary.setToolTip(facts.details)
-        self.warnings.tell(facts.warnings)
+        self.warnings.show_sentences(facts.warnings)
         whole = model.inspection is not None and model.inspection.complete
         self.save.setEnabled(whole and not model.put_away)
