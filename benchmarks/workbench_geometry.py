@@ -33,9 +33,9 @@ from napari_pv_inspect.models.workbench import RunState
 def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     """Drag points, one after the other, in changing frames; then kappa."""
     viewer, dock = opened(options.sequence)
-    bench = dock.bench
+    workbench = dock.workbench
     dock.module.detect.click()
-    settle(120.0, lambda: bench.model.run_state is RunState.IDLE)
+    settle(120.0, lambda: workbench.model.run_state is RunState.IDLE)
     settle(2.0)
     dock.points.select.click()
     heart, times, rng = Heartbeat(), Times(), np.random.default_rng(0)
@@ -50,39 +50,39 @@ def edits(
     viewer: Any, dock: InspectDock, n_edits: int, heart: Heartbeat, times: Times, rng: Generator
 ) -> None:
     """Move points at a stroke."""
-    bench = dock.bench
+    workbench = dock.workbench
     points, grid = viewer.layers["Crossing points"], viewer.layers["Fitted grid"]
     painted: list[float] = []
     canvas = viewer.window._qt_viewer.canvas._scene_canvas
     canvas.events.draw.connect(lambda _: painted.append(time.perf_counter()), position="last")
-    bent: list[float] = []
-    grid.events.set_data.connect(lambda _: bent.append(time.perf_counter()))
+    fitted: list[float] = []
+    grid.events.set_data.connect(lambda _: fitted.append(time.perf_counter()))
     for number in range(n_edits):
         row = take(viewer, dock, rng)
         heart.restart()
-        bent.clear()
+        fitted.clear()
         begun, cpu = time.perf_counter(), time.thread_time()
         points._move(points.selected_data, points.data[row] + [0.0, *rng.normal(0.0, 1.5, 2)])
         points._drag_start = None
-        settle(2.0, lambda: bool(bent) and any(at > bent[0] for at in painted))
-        shown = [at for at in painted if bent and at > bent[0]]
+        settle(2.0, lambda: bool(fitted) and any(at > fitted[0] for at in painted))
+        shown = [at for at in painted if fitted and at > fitted[0]]
         if not shown:
             sys.exit(f"Edit {number} was not drawn.")
         times.add("redrawn", 1e3 * (shown[0] - begun))
         times.add("cpu", 1e3 * (time.thread_time() - cpu))
         times.add("blocked", heart.longest_ms)
         heart.restart()
-        settle(10.0, lambda: not bench.recalibration.busy)
+        settle(10.0, lambda: not workbench.recalibration.busy)
         times.add("all frames", 1e3 * (time.perf_counter() - begun))
-        settle(1.0, lambda: not bench.kappa_curve.busy)
+        settle(1.0, lambda: not workbench.kappa_curve.busy)
         times.add("in thread", heart.longest_ms)
         painted.clear()
 
 
 def take(viewer: Any, dock: InspectDock, rng: Generator) -> int:
     """Go to some frame and select one of its points: its row in the layer."""
-    n, points = dock.bench.model.inspection.layout.n_crossings, viewer.layers["Crossing points"]
-    frame = int(rng.integers(len(dock.bench.model.sequence)))
+    n, points = dock.workbench.model.inspection.layout.n_crossings, viewer.layers["Crossing points"]
+    frame = int(rng.integers(len(dock.workbench.model.sequence)))
     viewer.dims.set_current_step(0, frame)
     settle(0.4)
     row = frame * n + int(rng.integers(n))
@@ -94,7 +94,7 @@ def take(viewer: Any, dock: InspectDock, rng: Generator) -> int:
 def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Generator) -> None:
     """Drag a point by the mouse, with the button down."""
     canvas, points = viewer.window._qt_viewer.canvas.native, viewer.layers["Crossing points"]
-    dock.bench.navigator.to_frames()
+    dock.workbench.navigator.to_frames()
     _, row, col = points.data[take(viewer, dock, rng)]
     settle(1.0)
     (_, y, x), zoom = viewer.scene.camera.center, viewer.scene.camera.zoom
@@ -112,7 +112,7 @@ def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Ge
         settle(1.0 / 60.0)
         times.add("held", heart.longest_ms)
         times.add("held cpu", 1e3 * (time.thread_time() - cpu))
-    if dock.bench.live.held_rms_px is None:
+    if dock.workbench.live.dragged_rms_px is None:
         sys.exit("The grid did not follow the point under the hand.")
     QTest.mouseRelease(canvas, Qt.MouseButton.LeftButton)
     settle(2.0)

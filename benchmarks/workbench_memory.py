@@ -24,7 +24,7 @@ LIMIT_S = 300.0
 def memory(options: argparse.Namespace) -> dict[str, object]:
     """Run again and again with a changed lambda and a fresh grid."""
     viewer, dock = opened(options.sequence)
-    model, process = dock.bench.model, psutil.Process()
+    model, process = dock.workbench.model, psutil.Process()
     resident, own = [], []
     for _ in range(options.runs):
         model.inspection = model.draft = None  # all stages anew

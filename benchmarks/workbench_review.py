@@ -45,21 +45,21 @@ class Paints(QObject):
 def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     """HeldOutPixels cells by keys, then walk through them in the large view."""
     viewer, dock = opened(options.sequence)
-    bench = dock.bench
-    bench.model.confirm_layout()
+    workbench = dock.workbench
+    workbench.model.confirm_layout()
     dock.run.run.click()
-    settle(300.0, lambda: bench.model.run_state is RunState.IDLE)
+    settle(300.0, lambda: workbench.model.run_state is RunState.IDLE)
     cells = viewer.window.dock_widgets["Cells"]
     times = Times()
     with tempfile.TemporaryDirectory() as place:
         dock.save(Path(place) / "result")
-        settle(60.0, lambda: bench.review.state.folder is not None)
+        settle(60.0, lambda: workbench.review.state.folder is not None)
         settle(2.0)
         heart = Heartbeat()
-        bench.model.select_cell((0, 0))
+        workbench.model.select_cell((0, 0))
         settle(0.5)
-        _judge(bench, cells, heart, times, options.keys)
-        view = large_cell(bench).view
+        _judge(workbench, cells, heart, times, options.keys)
+        view = large_cell(workbench).view
         painted = Paints(view.cell_panel)
         for _ in range(max(options.keys // 5, 1)):
             _focus(cells.view)
@@ -83,17 +83,17 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
             times.add("cell view", 1e3 * (time.perf_counter() - begun))
             settle(0.4)
             times.add("cell view blocked", heart.longest_ms)
-        _paint(view, bench.review.state, heart, times, painted, options.keys)
-        settle(5.0, lambda: bench.review.state.pending == 0)
+        _paint(view, workbench.review.state, heart, times, painted, options.keys)
+        settle(5.0, lambda: workbench.review.state.pending == 0)
         viewer.close()
     return times.summary()
 
 
-def _judge(bench: object, cells: object, heart: Heartbeat, times: Times, keys: int) -> None:
-    state, kinds = bench.review.state, list(VerdictKind)
+def _judge(workbench: object, cells: object, heart: Heartbeat, times: Times, keys: int) -> None:
+    state, kinds = workbench.review.state, list(VerdictKind)
     painted = Paints(cells.view.viewport())
     for number in range(keys):
-        cell = bench.model.selected_cell
+        cell = workbench.model.selected_cell
         _focus(cells.view)
         heart.restart()
         painted.count, begun = 0, time.perf_counter()

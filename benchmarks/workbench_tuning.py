@@ -99,7 +99,7 @@ class Watch:
         self._live = live
         self._picture: CellPicture | None = None
         self.painted: list[tuple[float, CellPicture]] = []
-        live.bench.live_cell.pictured.connect(self._on_picture)
+        live.workbench.live_cell.pictured.connect(self._on_picture)
         live.view.painted.connect(self._on_paint)
 
     def _on_picture(self, picture: CellPicture) -> None:
@@ -112,11 +112,11 @@ class Watch:
 
     def time_of(self, change: Callable[[], None]) -> float:
         """Milliseconds from a change to the first picture with the new settings and cell."""
-        model = self._live.bench.model
+        model = self._live.workbench.model
         self.painted.clear()
         begun = time.perf_counter()
         change()
-        settings, cell = model.settings, self._live.bench.live_cell.cell
+        settings, cell = model.settings, self._live.workbench.live_cell.cell
         wait_until(lambda: any(p.settings == settings and p.cell == cell for _, p in self.painted))
         when = next(t for t, p in self.painted if p.settings == settings and p.cell == cell)
         return 1e3 * (when - begun)
@@ -146,11 +146,11 @@ def measure(dock: InspectDock, inspection: Inspection) -> tuple[list[Latency], H
     inspection : Inspection
         Complete.
     """
-    model = dock.bench.model
+    model = dock.workbench.model
     model.inspection = inspection
     model.inspection_changed.emit(inspection)
     dock.show_page("Image")
-    live = show_live_cell(dock.bench, dock)
+    live = show_live_cell(dock.workbench, dock)
     watch, heart = Watch(live), Heartbeat()
     wait_until(lambda: live._picture is not None and live._picture.finished)
     # The gallery and the layers are drawn once; that is not what is measured here.
@@ -193,7 +193,7 @@ def measure(dock: InspectDock, inspection: Inspection) -> tuple[list[Latency], H
 
 def measure_in_a_run(dock: InspectDock, watch: Watch) -> str:
     """Drag lambda for five seconds while a whole run goes on, and say how that went."""
-    runs, model = dock.bench.runs, dock.bench.model
+    runs, model = dock.workbench.runs, dock.workbench.model
     heart = Heartbeat()
     runs.start()
     wait_until(lambda: model.running_stage is Stage.RECONSTRUCT)
@@ -217,7 +217,7 @@ def _drag(dock: InspectDock, watch: Watch, positions: range) -> tuple[float, ...
 
     Every position is there once, or the age of a picture would be ambiguous.
     """
-    slider, model = dock.image.prior_weight.slider, dock.bench.model
+    slider, model = dock.image.prior_weight.slider, dock.workbench.model
     when: dict[float | None, float] = {}
     watch.painted.clear()
     tick = time.perf_counter()
@@ -299,7 +299,7 @@ def main(arguments: list[str]) -> None:
     dock, _ = build(viewer)
     with gc_frozen():
         inspection = inspect(sequence, Settings(**hint))
-        dock.bench.model.open(sequence)
+        dock.workbench.model.open(sequence)
         results, heart, watch = measure(dock, inspection)
         print(report(results, heart))
         print(measure_in_a_run(dock, watch))

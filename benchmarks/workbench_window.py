@@ -81,7 +81,7 @@ def opened(sequence: Path | None) -> tuple[napari.Viewer, InspectDock]:
     dock, _ = build(viewer)
     gc.freeze()
     settle(1.0)
-    dock.bench.open(sequence or sample_folder())
-    settle(LIMIT_S, lambda: dock.bench.model.sequence is not None)
+    dock.workbench.open(sequence or sample_folder())
+    settle(LIMIT_S, lambda: dock.workbench.model.sequence is not None)
     settle(1.0)
     return viewer, dock

@@ -57,8 +57,8 @@ class Expert:
         self.window = self.viewer.window._qt_window
         self.window.resize(*SIZE)
         self.dock, self.cells = build(self.viewer)
-        self.bench = self.dock.bench
-        self.model = self.bench.model
+        self.workbench = self.dock.workbench
+        self.model = self.workbench.model
         self._activate()
         self.wait(1.0)
 

@@ -40,15 +40,15 @@ def main(arguments: list[str]) -> None:
     window.resize(*SIZE)
     dock, _cells = build(viewer)
     settle(1.0)
-    dock.bench.open(options.sequence or sample_folder())
-    while dock.bench.opener.busy:
+    dock.workbench.open(options.sequence or sample_folder())
+    while dock.workbench.opener.busy:
         settle(0.2)
     settle(1.0)
     dock.run.run.click()
-    while dock.bench.model.run_state is not RunState.IDLE:
+    while dock.workbench.model.run_state is not RunState.IDLE:
         settle(0.2)
     settle(1.0)
-    dock.bench.navigator.to_all()
+    dock.workbench.navigator.to_all()
     settle(1.0)
     if not window.screen().grabWindow(window.winId()).save(str(options.out)):
         sys.exit(f"{options.out} can't be written.")

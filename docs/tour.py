@@ -136,7 +136,7 @@ def find_the_grid(expert: Expert) -> None:
     frame = a_used_frame(expert)
     sorted_rows, table = expert.dock.frames.sorted, expert.dock.frames.table
     expert.click_row(view, sorted_rows.mapFromSource(table.index(frame, 1)))
-    assert expert.bench.frames.frame == frame
+    assert expert.workbench.frames.frame == frame
     expert.photograph("1b-frames")
 
 
@@ -145,7 +145,7 @@ def edit_a_point(expert: Expert) -> None:
     expert.turn_to("Grid")
     expert.click(_button(expert.dock.result, "Frames"))
     expert.click(expert.dock.points.select)
-    points, frame = expert.viewer.layers["Crossing points"], expert.bench.frames.frame
+    points, frame = expert.viewer.layers["Crossing points"], expert.workbench.frames.frame
     here = np.flatnonzero(points.data[:, 0] == frame)
     height, width = expert.model.sequence.shape
     middle = np.hypot(points.data[here, 1] - height / 2, points.data[here, 2] - width / 2)
@@ -153,11 +153,11 @@ def edit_a_point(expert: Expert) -> None:
     before = points.data[row].copy()
     start = expert.on_canvas(*points.data_to_world(before)[-2:])
     expert.drag(expert.canvas, start, start + QPoint(5, -4))
-    assert expert.bench.editor.edits.count(frame) == 1, "the point was not dragged"
-    expert.until(lambda: not expert.bench.recalibration.busy, "the fit of all frames")
+    assert expert.workbench.editor.edits.count(frame) == 1, "the point was not dragged"
+    expert.until(lambda: not expert.workbench.recalibration.busy, "the fit of all frames")
     expert.photograph("2a-point")
     expert.undo()
-    assert not expert.bench.editor.edits.count(frame), "the edit was not undone"
+    assert not expert.workbench.editor.edits.count(frame), "the edit was not undone"
     np.testing.assert_allclose(points.data[row], before)
     expert.click(expert.dock.points.select)
 
@@ -209,7 +209,7 @@ def tune(expert: Expert) -> None:
     expert.turn_to("Image")
     expert.click(expert.dock.image.show_live)
     live = expert.viewer.window.dock_widgets["Live cell"]
-    shown = expert.bench.live_cell
+    shown = expert.workbench.live_cell
     expert.until(lambda: live._picture is not None and live._picture.finished, "the live cell")
     weight = expert.dock.image.prior_weight
     before = live._picture
@@ -244,7 +244,7 @@ def run(expert: Expert) -> None:
 def save(expert: Expert, folder: Path) -> None:
     """Save the result."""
     expert.choose(lambda: expert.click(expert.dock.result.save), folder)
-    expert.until(lambda: not expert.bench.saver.busy, "the saved result")
+    expert.until(lambda: not expert.workbench.saver.busy, "the saved result")
     expert.wait(0.3)
     assert (folder / "result.json").is_file()
 
@@ -253,7 +253,7 @@ def judge(expert: Expert) -> None:
     """HeldOutPixels cells with the keyboard, and note something about one."""
     assert expert.dock.steps.next.text() == "Review cells"
     expert.click(expert.dock.steps.next)
-    state, box, gallery = expert.bench.review.state, expert.dock.verdict, expert.cells
+    state, box, gallery = expert.workbench.review.state, expert.dock.verdict, expert.cells
     expert.write(box.rater, "Ada")
     expert.click_row(gallery.view, gallery.cells.index(0))
     for kind in VERDICTS:
@@ -266,9 +266,9 @@ def judge(expert: Expert) -> None:
 
 def correct_marks(expert: Expert) -> None:
     """Show a cell large, paint a mark, judge it, go back."""
-    gallery, state = expert.cells, expert.bench.review.state
+    gallery, state = expert.cells, expert.workbench.review.state
     expert.press(gallery.view, Qt.Key.Key_Return)
-    view = large_cell(expert.bench).view
+    view = large_cell(expert.workbench).view
     expert.until(lambda: view._frame is not None, "the best frame")
     cell = expert.model.selected_cell
     before = state.features(cell).crack_length_cells
@@ -311,7 +311,7 @@ def come_back(
     """Open the result folder: all is as it was."""
     expert.choose(lambda: expert.click(expert.dock.open_folder), folder)
     expert.until(lambda: expert.model.inspection is not None, "the inspection")
-    state = expert.bench.review.state
+    state = expert.workbench.review.state
     expert.until(lambda: state.folder is not None and state.pending == 0, "the verdicts", 20.0)
     expert.wait(1.0)
     assert expert.model.inspection.complete

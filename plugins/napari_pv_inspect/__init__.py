@@ -1,7 +1,7 @@
-"""The napari workbench of pv-inspect: it shows, asks and remembers; the core computes.
+"""The napari workbench of pv-inspect: a view of what the core computes, and controls for it.
 
-``model`` holds the state and knows neither Qt nor napari, ``docks`` and ``layers`` show it,
-``worker`` runs the pipeline beside the window, ``workbench`` ties them to one viewer.
+``models`` and ``review`` hold the state, ``docks`` and ``layers`` show it, ``tasks`` runs the
+pipeline in the background, ``workbench`` connects all of them for one viewer.
 Nothing heavy is imported here: napari reads this package when it starts.
 """
 

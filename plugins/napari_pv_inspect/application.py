@@ -22,7 +22,7 @@ def build(viewer: napari.Viewer) -> tuple[InspectDock, CellsDock]:
     below = viewer.window.add_dock_widget(cells, name="Cells", area="bottom")
     below.hide()
     cells.filled.connect(below.show)
-    cells.filled.connect(inspect.bench.fit_view)
+    cells.filled.connect(inspect.workbench.fit_view)
     return inspect, cells
 
 
@@ -32,6 +32,6 @@ def run(path: Path | None) -> None:
     viewer = napari.Viewer(title=TITLE)
     inspect, _ = build(viewer)
     if path is not None:
-        inspect.bench.open(path)
+        inspect.workbench.open(path)
     with gc_frozen():
         napari.run()

@@ -40,8 +40,8 @@ from napari_pv_inspect.napari_internals import (
     unwrapped,
 )
 from napari_pv_inspect.review.controller import Reviewer
-from napari_pv_inspect.session.trials import TrialKeeper
-from napari_pv_inspect.session.view_state import SessionKeeper
+from napari_pv_inspect.session.trials import TrialStore
+from napari_pv_inspect.session.view_state import SessionStore
 from napari_pv_inspect.tasks.run import RunController
 from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.inspection.inspection import Inspection
@@ -82,7 +82,7 @@ class Workbench(QObject):
         self.guesser = LayoutGuesser(self.model)
         self.points = PointsLayer(viewer, self.model, self.frames, self.editor)
         self.live = LiveKappa(viewer, self.model, self.frames, self.geometry, self.editor)
-        self.points.held.connect(self.live.hold)
+        self.points.dragged.connect(self.live.drag)
         self.recalibration = Recalibration(self.model, self.editor)
         self.kappa_curve = KappaCurve(self.model)
         self.tuning = Tuning(self.model, self.history)
@@ -92,8 +92,8 @@ class Workbench(QObject):
         self.navigator.layers_wanted.connect(self._bring_back)
         self.opener = Opener(self.model)
         self.saver = Saver(self.model)
-        self.session = SessionKeeper(viewer, self.model, self.frames)
-        self.trials = TrialKeeper(self.model, self.tuning)
+        self.session = SessionStore(viewer, self.model, self.frames)
+        self.trials = TrialStore(self.model, self.tuning)
         self.review = Reviewer(self.model, self.history)
         self.corrections = CorrectionLayers(viewer, self.module, self.review.state)
         self.opener.may_leave = self._may_leave
@@ -131,7 +131,7 @@ class Workbench(QObject):
             self._adopt(layer)
 
     def open(self, path: Any) -> None:
-        """Open frames or a result folder beside the window; what is wrong becomes a notice."""
+        """Open frames or a result folder in the background; what is wrong becomes a notice."""
         self.opener.open(path)
 
     def close(self) -> None:

@@ -96,24 +96,24 @@ def tiny_inspection(tiny_sequence: FrameSequence, tiny_settings: Settings) -> In
 
 
 @pytest.fixture
-def bench(
+def workbench(
     make_napari_viewer: Callable[..., Any], tiny_sequence: FrameSequence, tiny_settings: Settings
 ) -> tuple[Any, InspectDock, CellsDock]:
     """Viewer and docks with the tiny module open."""
     viewer = make_napari_viewer()
     dock, cells = build(viewer)
-    dock.bench.model.open(tiny_sequence)
-    dock.bench.model.change_settings(magnification=2.0, max_iterations=5)
+    dock.workbench.model.open(tiny_sequence)
+    dock.workbench.model.change_settings(magnification=2.0, max_iterations=5)
     return viewer, dock, cells
 
 
 @pytest.fixture
-def saved(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
+def saved(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
     """Viewer, dock and gallery in a shown window; a whole inspection is saved in ``out``."""
-    viewer, dock, cells = bench
+    viewer, dock, cells = workbench
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None, timeout=10_000)
     stored(dock, qtbot)
     viewer.window._qt_window.resize(1280, 800)
     viewer.window._qt_window.show()

@@ -96,8 +96,8 @@ class Monkey:
         """Open a window."""
         self.viewer = self._make_viewer()
         self.dock, self.cells = build(self.viewer)
-        self.bench = self.dock.bench
-        self.bench.model.change_settings(magnification=2.0, max_iterations=3)
+        self.workbench = self.dock.workbench
+        self.workbench.model.change_settings(magnification=2.0, max_iterations=3)
         self.viewer.window._qt_window.show()
 
     def act(self, count: int) -> None:
@@ -132,21 +132,21 @@ class Monkey:
 
     def open(self, path: Any) -> None:
         """Open something and wait for it."""
-        self.bench.open(path)
-        self.until(lambda: not self.bench.opener.busy, f"opening {path}")
+        self.workbench.open(path)
+        self.until(lambda: not self.workbench.opener.busy, f"opening {path}")
 
     def whole(self) -> None:
         """Run to the end and save."""
         self.until(self._idle, "the end of the run")
-        model = self.bench.model
+        model = self.workbench.model
         if model.inspection is None or not model.inspection.complete:
-            self.bench.runs.start()
+            self.workbench.runs.start()
             self.until(self._idle, "the end of the run")
         self._do_save()
 
     def stored(self) -> None:
         """Wait until the verdicts are stored."""
-        state = self.bench.review.state
+        state = self.workbench.review.state
         if state.folder is not None:
             self.until(lambda: state.pending == 0, "stored verdicts")
         state.collect()
@@ -157,7 +157,7 @@ class Monkey:
         found = []
         for folder, given in self.given.items():
             with ReviewStore(folder) as store:
-                mine = self.bench.review.state.rater
+                mine = self.workbench.review.state.rater
                 current = {v.cell: v.kind for v in store.current() if v.rater == mine}
             if current != given:
                 found.append(f"{folder.name}: given {given}, stored {current}")
@@ -172,7 +172,7 @@ class Monkey:
     # What a monkey does
 
     def _do_verdict(self) -> None:
-        cell, state = self.bench.model.selected_cell, self.bench.review.state
+        cell, state = self.workbench.model.selected_cell, self.workbench.review.state
         if cell is None or state.folder is None or state.subject is None:
             return
         if cell not in state.subject.places:
@@ -186,15 +186,15 @@ class Monkey:
             if view.hasFocus():
                 self._told(cell, kind, lambda: QTest.keyClick(view, kind.key))
                 return
-        self._told(cell, kind, lambda: self.bench.review.judge(kind))
+        self._told(cell, kind, lambda: self.workbench.review.judge(kind))
 
     def _do_withdraw(self) -> None:
-        cell, state = self.bench.model.selected_cell, self.bench.review.state
+        cell, state = self.workbench.model.selected_cell, self.workbench.review.state
         if cell is not None and state.folder is not None:
-            self._told(cell, None, self.bench.review.withdraw)
+            self._told(cell, None, self.workbench.review.withdraw)
 
     def _told(self, cell: Cell, kind: VerdictKind | None, say: Callable[[], Any]) -> None:
-        history, folder = self.bench.history, self.bench.review.state.folder
+        history, folder = self.workbench.history, self.workbench.review.state.folder
         given = self.given.setdefault(folder, {})
         top = history._done[-1] if history._done else None
         before = given.get(cell)
@@ -212,7 +212,7 @@ class Monkey:
             self.given[folder][cell] = kind
 
     def _do_undo(self) -> None:
-        history = self.bench.history
+        history = self.workbench.history
         top = history._undone[-1:]
         self._press("Ctrl+Z")
         # A slider that had not settled yet goes first.
@@ -220,7 +220,7 @@ class Monkey:
             self._put(meaning[0], meaning[1], meaning[2])
 
     def _do_redo(self) -> None:
-        history = self.bench.history
+        history = self.workbench.history
         top = history._done[-1:]
         self._press("Ctrl+Shift+Z")
         if (meaning := self._meant(top, history._done)) is not None:
@@ -235,18 +235,18 @@ class Monkey:
         return self._meaning.get(id(after[-1]))
 
     def _press(self, sequence: str) -> None:
-        bound = self.bench.shortcuts._bound
+        bound = self.workbench.shortcuts._bound
         next(s for key, s in bound.items() if key.sequence == sequence).activated.emit()
 
     def _do_note(self) -> None:
         # Only to cells with a verdict: a note is an edit like a verdict.
-        cell, state = self.bench.model.selected_cell, self.bench.review.state
+        cell, state = self.workbench.model.selected_cell, self.workbench.review.state
         if cell is not None and state.folder is not None and state.verdict(cell) is not None:
             kind, text = state.verdict(cell).kind, f"note {self._rng.integers(1000)}"
             self._told(cell, kind, lambda: state.write_note(cell, text))
 
     def _do_brush(self) -> None:
-        cell, state = self.bench.model.selected_cell, self.bench.review.state
+        cell, state = self.workbench.model.selected_cell, self.workbench.review.state
         mask = None if cell is None or state.folder is None else state.marks(cell)
         if mask is not None:
             row = int(self._rng.integers(mask.shape[0]))
@@ -255,11 +255,11 @@ class Monkey:
             state.correct(cell, mask if self._rng.random() < 0.8 else None)
 
     def _do_drag_point(self) -> None:
-        points: PointsLayer = self.bench.points
+        points: PointsLayer = self.workbench.points
         layer, marks = points._slot.layer, points._marks
         if layer is None or marks is None or not layer.editable:
             return
-        here = np.flatnonzero(marks.frame == self.bench.frames.frame)
+        here = np.flatnonzero(marks.frame == self.workbench.frames.frame)
         if here.size == 0:
             return
         row = int(self._any(here))
@@ -321,7 +321,7 @@ class Monkey:
             table.setData(index, state, Qt.ItemDataRole.CheckStateRole)
 
     def _do_look_at(self) -> None:
-        navigator = self.bench.navigator
+        navigator = self.workbench.navigator
         self._any([navigator.to_all, navigator.to_frames, navigator.to_module])()
         self.viewer.dims.set_current_step(0, int(self._rng.integers(6)))
 
@@ -350,11 +350,11 @@ class Monkey:
             live.parentWidget().close()
 
     def _do_large_cell(self) -> None:
-        place = large_cell(self.bench)
+        place = large_cell(self.workbench)
         if not place.is_open:
             self.cells.open_cell()
         elif self._rng.random() < 0.5:
-            self.bench.review.step(int(self._any([-1, 1])))
+            self.workbench.review.step(int(self._any([-1, 1])))
         elif self._rng.random() < 0.5:
             place.toggle_gallery()
         else:
@@ -377,13 +377,13 @@ class Monkey:
         self.dock.pages.setCurrentIndex(int(self._rng.integers(self.dock.pages.count())))
 
     def _do_save(self) -> None:
-        inspection = self.bench.model.inspection
+        inspection = self.workbench.model.inspection
         if inspection is not None and inspection.complete:
-            before = self.bench.review.state.folder
+            before = self.workbench.review.state.folder
             self.dock.result.save.click()
-            self.until(lambda: not self.bench.saver.busy, "the saved result")
+            self.until(lambda: not self.workbench.saver.busy, "the saved result")
             # What was judged goes to another folder as well.
-            after = self.bench.review.state.folder
+            after = self.workbench.review.state.folder
             # None: other frames that were still being opened came meanwhile.
             if after not in (None, before) and before in self.given:
                 self.given.setdefault(after, {}).update(self.given[before])
@@ -397,29 +397,29 @@ class Monkey:
         self.leave()
         self.sit_down()
         self.open(self.folder if (self.folder / "result.json").is_file() else self._frames)
-        self.bench.model.change_settings(magnification=2.0, max_iterations=3)
+        self.workbench.model.change_settings(magnification=2.0, max_iterations=3)
 
     def _do_other_frames(self) -> None:
         self.stored()
         files = sorted((self._frames / "frames").iterdir())
         path = self._any([self._frames, files[:4]]) if self._rng.random() < 0.8 else files[0]
         self._saves += 1
-        self.bench.open(path)
+        self.workbench.open(path)
         if self._rng.random() < 0.7:
-            self.until(lambda: not self.bench.opener.busy, "opening")
+            self.until(lambda: not self.workbench.opener.busy, "opening")
             self.whole()
 
     def _do_nonsense(self) -> None:
-        self.bench.open(self._place / "nowhere")
+        self.workbench.open(self._place / "nowhere")
 
     def _do_help(self) -> None:
-        self.bench.shortcuts.show_help()
+        self.workbench.shortcuts.show_help()
 
     def _do_wait(self) -> None:
         self.wait(float(self._rng.random()))
 
     def _idle(self) -> bool:
-        return self.bench.model.run_state is RunState.IDLE
+        return self.workbench.model.run_state is RunState.IDLE
 
     def _any(self, things: Any) -> Any:
         return things[int(self._rng.integers(len(things)))]

@@ -10,14 +10,14 @@ from pv_inspect.inspection.inspection import Inspection
 
 
 def show(dock: Any, inspection: Inspection | None) -> None:
-    """Put an inspection on the bench as if a run had brought it."""
-    model = dock.bench.model
+    """Put an inspection open as if a run had brought it."""
+    model = dock.workbench.model
     model.inspection = inspection
     model.inspection_changed.emit(inspection)
 
 
 def stored(dock: Any, qtbot: QtBot) -> None:
     """Wait until all that was said is on disk."""
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
     state.collect()

@@ -38,8 +38,8 @@ def app(make_napari_viewer: Callable[..., Any], qtbot: QtBot) -> tuple[Any, Any,
 @pytest.fixture
 def tiny_app(app: tuple[Any, Any, Any], tiny_sequence: FrameSequence, qtbot: QtBot) -> Any:
     """Return the application with the tiny module open."""
-    app[1].bench.model.open(tiny_sequence)
-    app[1].bench.model.change_settings(magnification=2.0, max_iterations=5)
+    app[1].workbench.model.open(tiny_sequence)
+    app[1].workbench.model.change_settings(magnification=2.0, max_iterations=5)
     qtbot.wait(200)
     return app
 
@@ -58,7 +58,7 @@ def share_of_colour(pixels: NDArray[np.int_], colour: str) -> float:
 
 def finish(dock: Any, qtbot: QtBot) -> None:
     """Wait for the end of the run."""
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=120_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=120_000)
 
 
 def test_the_sample_is_seen_and_its_grid_is_found(app: Any, qtbot: QtBot) -> None:
@@ -66,7 +66,7 @@ def test_the_sample_is_seen_and_its_grid_is_found(app: Any, qtbot: QtBot) -> Non
         pytest.skip("sample_data/ is not in this checkout")
     viewer, dock, _ = app
     qtbot.mouseClick(dock.open_sample, LEFT)
-    qtbot.waitUntil(lambda: dock.bench.model.sequence is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not None, timeout=20_000)
     before = canvas(viewer, qtbot)
     assert before.max() > 150
     assert share_of_colour(before, GRID_COLOUR) < 1e-4
@@ -83,7 +83,7 @@ def test_kappa_moves_the_grid_on_the_screen_and_fit_brings_it_back(
     viewer, dock, _ = tiny_app
     qtbot.mouseClick(dock.module.detect, LEFT)
     finish(dock, qtbot)
-    dock.bench.navigator.to_frames()
+    dock.workbench.navigator.to_frames()
     straight = canvas(viewer, qtbot)
     for _ in range(30):
         qtbot.keyClick(dock.lens.kappa.slider, Qt.Key.Key_Right)
@@ -97,7 +97,7 @@ def test_kappa_moves_the_grid_on_the_screen_and_fit_brings_it_back(
 
 def test_run_cancel_run_again_and_look_at_the_cells(tiny_app: Any, qtbot: QtBot) -> None:
     viewer, dock, cells = tiny_app
-    model = dock.bench.model
+    model = dock.workbench.model
     qtbot.mouseClick(dock.run.run, LEFT)
     qtbot.waitUntil(lambda: dock.run.progress.value() > 0, timeout=60_000)
     qtbot.mouseClick(dock.run.cancel, LEFT)
@@ -108,7 +108,7 @@ def test_run_cancel_run_again_and_look_at_the_cells(tiny_app: Any, qtbot: QtBot)
     assert model.inspection is not None
     assert model.inspection.complete
 
-    dock.bench.navigator.to_module()
+    dock.workbench.navigator.to_module()
     pixels = canvas(viewer, qtbot)
     height, width = pixels.shape[:2]
     middle = pixels[height // 3 : -height // 3, width // 3 : -width // 3]
@@ -132,13 +132,13 @@ def test_another_lambda_changes_the_module_on_the_screen(tiny_app: Any, qtbot: Q
     viewer, dock, _ = tiny_app
     qtbot.mouseClick(dock.run.run, LEFT)
     finish(dock, qtbot)
-    dock.bench.navigator.to_cell(1, 1)
+    dock.workbench.navigator.to_cell(1, 1)
     viewer.layers["Cracks"].visible = False
     before = canvas(viewer, qtbot)
     dock.image.prior_weight.number.setValue(10.0)
     qtbot.mouseClick(dock.run.run, LEFT)
     finish(dock, qtbot)
-    dock.bench.navigator.to_cell(1, 1)
+    dock.workbench.navigator.to_cell(1, 1)
     after = canvas(viewer, qtbot)
     assert (np.abs(after - before).max(axis=-1) > 5).mean() > 0.05
 
@@ -160,10 +160,10 @@ def build_and_close_mid_run(viewer):
             QTimer.singleShot(0, viewer.window._qt_window.close)
 
     def run():
-        if dock.bench.model.sequence is None:
+        if dock.workbench.model.sequence is None:
             QTimer.singleShot(200, run)
             return
-        dock.bench.model.progress_changed.connect(close)
+        dock.workbench.model.progress_changed.connect(close)
         dock.run.run.click()
 
     QTimer.singleShot(1000, run)

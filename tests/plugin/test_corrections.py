@@ -18,15 +18,15 @@ CELL = (1, 1)
 
 
 @pytest.fixture
-def shown(bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch) -> Shown:
+def shown(workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch) -> Shown:
     monkeypatch.setattr(
         "napari_pv_inspect.docks.inspect.QFileDialog.getSaveFileName", lambda *_: ("", "")
     )
     monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Discard)
-    viewer, dock, _ = bench
-    dock.bench.model.inspection = tiny_inspection
-    dock.bench.model.inspection_changed.emit(tiny_inspection)
-    state = dock.bench.review.state
+    viewer, dock, _ = workbench
+    dock.workbench.model.inspection = tiny_inspection
+    dock.workbench.model.inspection_changed.emit(tiny_inspection)
+    state = dock.workbench.review.state
     mask = np.zeros_like(state.marks(CELL))
     mask[len(mask) // 2, 4:-4] = True
     return viewer, state, mask
@@ -78,16 +78,16 @@ def test_deleted_layers_break_nothing(shown: Shown) -> None:
 def test_a_preview_of_another_image_hides_the_marks(shown: Shown) -> None:
     viewer, state, mask = shown
     state.correct(CELL, mask)
-    bench = Workbench.of(viewer)
-    bench.module.preview(np.zeros((20, 30), np.float32))
+    workbench = Workbench.of(viewer)
+    workbench.module.preview(np.zeros((20, 30), np.float32))
     assert not viewer.layers[CORRECTED].visible
-    bench.model.inspection_changed.emit(bench.model.inspection)
+    workbench.model.inspection_changed.emit(workbench.model.inspection)
     assert viewer.layers[CORRECTED].visible
     assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
 
 
-def test_the_gallery_paints_corrected_marks_in_another_colour(bench: Any, shown: Shown) -> None:
-    _, _, cells = bench
+def test_the_gallery_paints_corrected_marks_in_another_colour(workbench: Any, shown: Shown) -> None:
+    _, _, cells = workbench
     _, state, mask = shown
 
     def colours() -> set[str]:

@@ -47,11 +47,11 @@ def window(
     viewer = make_napari_viewer(show=True)
     main = viewer.window._qt_window
     dock, _ = build(viewer)
-    dock.bench.model.open(tiny_sequence)
-    dock.bench.model.change_settings(magnification=2.0, max_iterations=5)
+    dock.workbench.model.open(tiny_sequence)
+    dock.workbench.model.change_settings(magnification=2.0, max_iterations=5)
     main.resize(*SIZE)
     dock.run.run.click()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
     qtbot.wait(100)
     return viewer, dock
 
@@ -64,7 +64,7 @@ def test_no_page_scrolls_at_1280_x_800(
     viewer, dock = window
     if running:
         replayed.go_on = False
-        dock.bench.model.change_settings(prior_weight=0.5)
+        dock.workbench.model.change_settings(prior_weight=0.5)
         dock.run.run.click()
         qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
     main = viewer.window._qt_window
@@ -76,7 +76,7 @@ def test_no_page_scrolls_at_1280_x_800(
         assert area.verticalScrollBar().maximum() == 0, page
         assert area.widget().minimumSizeHint().width() <= area.viewport().width(), page
     replayed.go_on = True
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=10_000)
 
 
 @pytest.mark.xvfb
@@ -121,10 +121,10 @@ def test_the_narrowest_dock_has_sliders_wide_enough_for_the_hand(
 
 
 def test_there_is_one_primary_button_in_every_state(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
-    model = dock.bench.model
+    _, dock, _ = workbench
+    model = dock.workbench.model
 
     def buttons() -> list[tuple[str, bool]]:
         both = (dock.steps.next, dock.run.run)
@@ -149,8 +149,8 @@ def test_there_is_one_primary_button_in_every_state(
     assert buttons() == [("Run from reconstruct", True)]
 
 
-def test_a_long_name_is_cut_in_its_middle_and_whole_in_its_tooltip(bench: Any) -> None:
-    _, dock, _ = bench
+def test_a_long_name_is_cut_in_its_middle_and_whole_in_its_tooltip(workbench: Any) -> None:
+    _, dock, _ = workbench
     name = "2026-11-22_string-04_module-0017_forward-bias_" * 4
     dock._tell(name, "5 frames", f"/data/{name}")
     assert dock.name.text() == name
@@ -176,7 +176,7 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
     dock.show_page("Image")
     viewer.window._qt_window.activateWindow()
     image = dock.image
-    dock.bench.model.change_settings(prior_weight=0.5, psf_sigma_lr_px=0.5)
+    dock.workbench.model.change_settings(prior_weight=0.5, psf_sigma_lr_px=0.5)
     image.show_live.setFocus()
     qtbot.waitUntil(image.show_live.hasFocus, timeout=2000)
     for widget in (
@@ -214,8 +214,8 @@ def test_the_tab_key_leaves_every_page_downwards(window: tuple[Any, Any], qtbot:
         assert dock.steps.next in reached
 
 
-def test_every_control_has_a_tooltip(bench: Any) -> None:
-    _, dock, _ = bench
+def test_every_control_has_a_tooltip(workbench: Any) -> None:
+    _, dock, _ = workbench
     for kind in (QAbstractButton, QAbstractSpinBox, QComboBox, QSlider):
         for control in dock.findChildren(kind):
             above = control.parentWidget()
@@ -224,9 +224,9 @@ def test_every_control_has_a_tooltip(bench: Any) -> None:
             assert control.toolTip() or above.toolTip(), control.objectName()
 
 
-def test_all_our_docks_show_the_focus_under_every_theme(bench: Any) -> None:
-    viewer, dock, cells = bench
-    docks = (dock, cells, CellDock(viewer), show_live_cell(dock.bench, dock))
+def test_all_our_docks_show_the_focus_under_every_theme(workbench: Any) -> None:
+    viewer, dock, cells = workbench
+    docks = (dock, cells, CellDock(viewer), show_live_cell(dock.workbench, dock))
     for theme in ("light", "dark"):
         viewer.theme = theme
         assert [one.styleSheet() for one in docks] == [style(theme)] * 4

@@ -21,13 +21,15 @@ from tests.plugin.reviewing import show
 TICK = Qt.ItemDataRole.CheckStateRole
 
 
-def with_fate(inspection: Inspection, frame: int, why: str, settings: Settings) -> Inspection:
+def with_registration(
+    inspection: Inspection, frame: int, why: str, settings: Settings
+) -> Inspection:
     assert inspection.registration is not None
     used = inspection.registration.used.copy()
     used[frame] = False
     reasons = tuple(why if i == frame else w for i, w in enumerate(inspection.registration.why))
-    fate = replace(inspection.registration, used=used, why=reasons)
-    return replace(inspection, registration=fate, settings=settings)
+    status = replace(inspection.registration, used=used, why=reasons)
+    return replace(inspection, registration=status, settings=settings)
 
 
 def rows(
@@ -56,7 +58,7 @@ def test_the_numbers_are_those_of_the_inspection(
     assert row.residual == tiny_inspection.reconstruction.residual_rms[2]
     assert row.residual != tiny_inspection.registration.rms[2]
     assert row.motion_px == tiny_inspection.reconstruction.motion[2][0]
-    assert row.fate == "used"
+    assert row.status == "used"
 
 
 def test_a_used_frame_is_left_out_and_taken_back(
@@ -68,7 +70,7 @@ def test_a_used_frame_is_left_out_and_taken_back(
     assert without.skip_frames == (row.name,)
     row = rows(tiny_sequence, tiny_inspection, without)[1]
     assert not row.wanted
-    assert row.fate == "to be left out"
+    assert row.status == "to be left out"
     assert ticked(without, row, wanted=True) == settings
 
 
@@ -76,10 +78,10 @@ def test_a_rejected_frame_is_kept_and_given_back_to_the_automatic_choice(
     tiny_sequence: FrameSequence, tiny_inspection: Inspection
 ) -> None:
     settings = tiny_inspection.settings
-    rejected = with_fate(tiny_inspection, 3, "shows another module", settings)
+    rejected = with_registration(tiny_inspection, 3, "shows another module", settings)
     row = rows(tiny_sequence, rejected, settings)[3]
     assert not row.wanted
-    assert row.fate == "rejected: shows another module"
+    assert row.status == "rejected: shows another module"
     keeping = ticked(settings, row, wanted=True)
     assert keeping.keep_frames == (row.name,)
     row = rows(tiny_sequence, rejected, keeping)[3]
@@ -92,21 +94,21 @@ def test_a_frame_that_a_person_left_out_is_not_called_rejected(
 ) -> None:
     name = tiny_sequence.names[0]
     settings = tiny_inspection.settings.changed(skip_frames=(name,))
-    left_out = with_fate(tiny_inspection, 0, LEFT_OUT, settings)
+    left_out = with_registration(tiny_inspection, 0, LEFT_OUT, settings)
     row = rows(tiny_sequence, left_out, settings)[0]
-    assert (row.wanted, row.fate) == (False, "left out by you")
+    assert (row.wanted, row.status) == (False, "left out by you")
     back = ticked(settings, row, wanted=True)
     assert (back.skip_frames, back.keep_frames) == ((), ())
     assert rows(tiny_sequence, left_out, back)[0].wanted
 
 
 @pytest.fixture
-def filled(bench: Any, replayed: Any, qtbot: QtBot) -> Any:
-    _, dock, _ = bench
+def filled(workbench: Any, replayed: Any, qtbot: QtBot) -> Any:
+    _, dock, _ = workbench
     dock.show_page("Frames")
-    dock.bench.runs.start()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
-    return bench
+    dock.workbench.runs.start()
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    return workbench
 
 
 def place(box: Any, row: int, column: int = NAME) -> QModelIndex:
@@ -138,7 +140,7 @@ def test_the_reason_of_a_frame_that_is_not_used_is_shown_whole(
         "it does not show the same module as the others (correlation 0.12, typically 0.93): the "
         "cell in row 2, column 3 is another one"
     )
-    show(dock, with_fate(tiny_inspection, 3, why, tiny_inspection.settings))
+    show(dock, with_registration(tiny_inspection, 3, why, tiny_inspection.settings))
     box = dock.frames
     box.view.sortByColumn(NAME, Qt.SortOrder.DescendingOrder)
     box.view.resize(290, 300)
@@ -160,18 +162,18 @@ def test_the_reason_of_a_frame_that_is_not_used_is_shown_whole(
 
 def test_a_tick_changes_the_settings_and_can_be_undone(filled: Any) -> None:
     _, dock, _ = filled
-    model, box = dock.bench.model, dock.frames
+    model, box = dock.workbench.model, dock.frames
     name = model.sequence.names[1]
     box.table.setData(box.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)
     assert model.settings.skip_frames == (name,)
     assert box.table.index(1, NAME).data(TICK) == Qt.CheckState.Unchecked
     assert box.table.index(1, STATUS).data() == "to be left out"
-    assert dock.bench.history.undo_text == f"Leave out {name}"
+    assert dock.workbench.history.undo_text == f"Leave out {name}"
     assert dock.steps.next.text() == "Run from register"
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     assert model.settings.skip_frames == ()
     assert dock.steps.next.text() == "Review cells"
-    dock.bench.history.redo()
+    dock.workbench.history.redo()
     assert model.settings.skip_frames == (name,)
 
 
@@ -180,7 +182,7 @@ def test_the_mouse_ticks(filled: Any, qtbot: QtBot) -> None:
     view = dock.frames.view
     corner = view.visualRect(place(dock.frames, 2)).topLeft()
     qtbot.mouseClick(view.viewport(), Qt.MouseButton.LeftButton, pos=corner + QPoint(9, 10))
-    assert dock.bench.model.settings.skip_frames == (dock.bench.model.sequence.names[2],)
+    assert dock.workbench.model.settings.skip_frames == (dock.workbench.model.sequence.names[2],)
 
 
 def test_another_sequence_has_no_ticks_of_the_one_before(
@@ -188,6 +190,6 @@ def test_another_sequence_has_no_ticks_of_the_one_before(
 ) -> None:
     _, dock, _ = filled
     dock.frames.table.setData(dock.frames.table.index(1, NAME), Qt.CheckState.Unchecked, TICK)
-    dock.bench.model.open(replace(tiny_sequence))
-    assert dock.bench.model.settings.skip_frames == ()
-    assert dock.bench.history.undo_text is None
+    dock.workbench.model.open(replace(tiny_sequence))
+    assert dock.workbench.model.settings.skip_frames == ()
+    assert dock.workbench.history.undo_text is None

@@ -52,8 +52,8 @@ def blind(tiny_inspection: Inspection) -> Inspection:
 
 
 def run(dock: Any, qtbot: QtBot) -> None:
-    dock.bench.runs.start()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    dock.workbench.runs.start()
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
 
 
 def shown_words(dock: Any) -> str:
@@ -62,18 +62,18 @@ def shown_words(dock: Any) -> str:
 
 
 def test_a_run_that_ends_in_doubt_is_not_done(
-    bench: Any, replayed: Any, blind: Inspection, qtbot: QtBot
+    workbench: Any, replayed: Any, blind: Inspection, qtbot: QtBot
 ) -> None:
-    _, dock, cells = bench
+    _, dock, cells = workbench
     replayed.inspection = blind
     told: list[tuple[str, bool]] = []
-    dock.bench.model.noticed.connect(lambda text, is_error: told.append((text, is_error)))
+    dock.workbench.model.noticed.connect(lambda text, is_error: told.append((text, is_error)))
     run(dock, qtbot)
     text, is_error = told[-1]
     assert text.startswith(f"In doubt: {ALL_BLIND}")
     assert is_error
     assert not any("Done" in words for words, _ in told)
-    assert [s.status for s in steps_of(dock.bench.model)].count(Status.DOUBTED) == 3
+    assert [s.status for s in steps_of(dock.workbench.model)].count(Status.DOUBTED) == 3
     assert COLOURS[Status.DOUBTED] != COLOURS[Status.DONE]
     words = shown_words(dock)
     assert words.startswith(f"In doubt: {ALL_BLIND}")
@@ -83,37 +83,37 @@ def test_a_run_that_ends_in_doubt_is_not_done(
 
 
 def test_a_result_without_its_frames_shows_the_same_doubts(
-    bench: Any, blind: Inspection, tmp_path: Path, qtbot: QtBot
+    workbench: Any, blind: Inspection, tmp_path: Path, qtbot: QtBot
 ) -> None:
-    _, dock, cells = bench
+    _, dock, cells = workbench
     show(dock, blind)
     before = shown_words(dock)
     write_result(blind, tmp_path / "out")
-    dock.bench.model.open_result(read_result(tmp_path / "out"))
+    dock.workbench.model.open_result(read_result(tmp_path / "out"))
     assert shown_words(dock) == before
     assert cells.counts.text().startswith(ALL_BLIND)
     assert dock.run.message.text().startswith("In doubt")
-    assert Status.DOUBTED in [s.status for s in steps_of(dock.bench.model)]
+    assert Status.DOUBTED in [s.status for s in steps_of(dock.workbench.model)]
 
 
 def test_a_reopened_result_shows_the_same_doubts(
-    bench: Any, blind: Inspection, tmp_path: Path, qtbot: QtBot
+    workbench: Any, blind: Inspection, tmp_path: Path, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     show(dock, blind)
     before = shown_words(dock)
     write_result(blind, tmp_path / "out")
-    dock.bench.open(str(tmp_path / "out"))
-    qtbot.waitUntil(lambda: dock.bench.model.result is not None, timeout=20_000)
-    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+    dock.workbench.open(str(tmp_path / "out"))
+    qtbot.waitUntil(lambda: dock.workbench.model.result is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
     assert shown_words(dock) == before
     assert "In doubt" in dock.run.message.text() or "Opened" in dock.run.message.text()
 
 
 def test_the_gallery_filters_by_what_could_be_judged_and_says_how_many(
-    bench: Any, tiny_inspection: Inspection
+    workbench: Any, tiny_inspection: Inspection
 ) -> None:
-    _, dock, cells = bench
+    _, dock, cells = workbench
     show(dock, blinded(tiny_inspection, 5))
     texts = [cells.filter.itemText(k) for k in range(cells.filter.count())]
     for text in ("suspected (0)", "can't be judged (5)", "dark (1)", "clean (6)"):
@@ -127,12 +127,12 @@ def test_the_gallery_filters_by_what_could_be_judged_and_says_how_many(
     assert cells.counts.text().startswith("5 of 12 cells can't be judged from these frames, 1 is")
 
 
-def test_a_tile_carries_its_state(bench: Any, tiny_inspection: Inspection) -> None:
-    _, dock, cells = bench
+def test_a_tile_carries_its_state(workbench: Any, tiny_inspection: Inspection) -> None:
+    _, dock, cells = workbench
 
     def corner(state_count: int) -> QImage:
         show(dock, blinded(tiny_inspection, state_count))
-        assert dock.bench.review.state.state_of((0, 1)) is (
+        assert dock.workbench.review.state.state_of((0, 1)) is (
             CellState.UNDECIDABLE if state_count > 1 else CellState.CLEAN
         )
         option = QStyleOptionViewItem()
@@ -158,8 +158,8 @@ def test_a_tile_carries_its_state(bench: Any, tiny_inspection: Inspection) -> No
     assert amber[1] > 50
 
 
-def test_long_sentences_are_shown_whole(bench: Any, tiny_inspection: Inspection) -> None:
-    _, dock, _ = bench
+def test_long_sentences_are_shown_whole(workbench: Any, tiny_inspection: Inspection) -> None:
+    _, dock, _ = workbench
     unused = "frame_003.tif is not used: black."
     show(dock, replace(tiny_inspection, doubts=(LONG,), warnings=(unused, "Guessed.")))
     box = dock.result
@@ -183,8 +183,10 @@ def test_a_told_text_is_as_high_as_its_lines(qtbot: QtBot) -> None:
     assert told.sizeHint().height() < 14 * line
 
 
-def test_a_long_reason_over_the_canvas_is_wrapped(bench: Any, tiny_inspection: Inspection) -> None:
-    viewer, dock, _ = bench
+def test_a_long_reason_over_the_canvas_is_wrapped(
+    workbench: Any, tiny_inspection: Inspection
+) -> None:
+    viewer, dock, _ = workbench
     assert tiny_inspection.registration is not None
     poses = tiny_inspection.registration
     fate = replace(poses, used=np.zeros_like(poses.used), why=(LONG,) * len(poses.used))
@@ -195,12 +197,12 @@ def test_a_long_reason_over_the_canvas_is_wrapped(bench: Any, tiny_inspection: I
     assert " ".join(lines).endswith(LONG)
 
 
-def test_after_a_failed_run_with_other_rows_the_old_result_is_put_away(
-    bench: Any, replayed: Any, tiny_inspection: Inspection, qtbot: QtBot
+def test_after_a_failed_run_with_other_rows_the_old_result_is_hidden(
+    workbench: Any, replayed: Any, tiny_inspection: Inspection, qtbot: QtBot
 ) -> None:
-    viewer, dock, cells = bench
+    viewer, dock, cells = workbench
     run(dock, qtbot)
-    model, state = dock.bench.model, dock.bench.review.state
+    model, state = dock.workbench.model, dock.workbench.review.state
     assert state.subject is not None
     assert "Module image" in viewer.layers
     model.change_settings(rows=model.settings.rows - 1)
@@ -210,7 +212,7 @@ def test_after_a_failed_run_with_other_rows_the_old_result_is_put_away(
     assert "The run with 2 x 4 cells failed" in dock.result.summary.text()
     assert "clean" not in shown_words(dock)
     assert state.subject is None
-    assert "put away" in cells.view.message
+    assert "is hidden" in cells.view.message
     assert "Module image" not in viewer.layers
     assert "Fitted grid" not in viewer.layers
     assert "grid fits" not in viewer.canvas.overlays.text.text

@@ -52,7 +52,7 @@ JUDGE = """
 kinds, given = list(VerdictKind), []
 
 def act(viewer, dock):
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     if state.folder is None or state.pending:
         return
     if given:
@@ -69,17 +69,17 @@ RUN = """
 weights = [0.5 + 0.01 * k for k in range(400)]
 
 def act(viewer, dock):
-    bench = dock.bench
-    if bench.model.inspection is None or bench.opener.busy or bench.saver.busy:
+    workbench = dock.workbench
+    if workbench.model.inspection is None or workbench.opener.busy or workbench.saver.busy:
         return
-    if bench.model.run_state.value != "idle":
+    if workbench.model.run_state.value != "idle":
         return
-    if bench.model.to_do:
-        bench.runs.start()
+    if workbench.model.to_do:
+        workbench.runs.start()
         return
     say("whole")
-    bench.saver.save(bench.model.inspection, Path(sys.argv[1]))
-    bench.model.change_settings(prior_weight=weights.pop())
+    workbench.saver.save(workbench.model.inspection, Path(sys.argv[1]))
+    workbench.model.change_settings(prior_weight=weights.pop())
 
 napari_pv_inspect.launch(Path(sys.argv[1]))
 """
@@ -134,9 +134,9 @@ def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
     )
     viewer = make_napari_viewer(show=True)
     dock, _ = build(viewer)
-    dock.bench.review.set_rater(rater)
-    dock.bench.open(folder)
-    state = dock.bench.review.state
+    dock.workbench.review.set_rater(rater)
+    dock.workbench.open(folder)
+    state = dock.workbench.review.state
     qtbot.waitUntil(lambda: state.folder is not None and state.pending == 0, timeout=20_000)
     state.collect()
     assert {cell: state.verdict(cell).kind for cell in found} == found
@@ -159,7 +159,7 @@ def test_the_last_whole_result_loads_after_kill_9_during_a_run_or_while_saving(
     assert np.isfinite(result.image).any()
     viewer = make_napari_viewer(show=True)
     dock, _ = build(viewer)
-    dock.bench.open(folder)
-    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
-    assert dock.bench.model.inspection is not None
-    assert dock.bench.model.inspection.complete
+    dock.workbench.open(folder)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
+    assert dock.workbench.model.inspection is not None
+    assert dock.workbench.model.inspection.complete

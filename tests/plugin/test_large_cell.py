@@ -46,16 +46,16 @@ def test_the_large_picture_is_the_largest(width: int, height: int) -> None:
 
 
 @pytest.fixture
-def opened(bench: Any, tiny_inspection: Inspection, qtbot: QtBot) -> Opened:
-    viewer, dock, cells = bench
-    dock.bench.model.inspection = tiny_inspection
-    dock.bench.model.inspection_changed.emit(tiny_inspection)
+def opened(workbench: Any, tiny_inspection: Inspection, qtbot: QtBot) -> Opened:
+    viewer, dock, cells = workbench
+    dock.workbench.model.inspection = tiny_inspection
+    dock.workbench.model.inspection_changed.emit(tiny_inspection)
     window = viewer.window._qt_window
     window.resize(1280, 800)
     window.show()
     qtbot.waitUntil(lambda: cells.isVisible(), timeout=5000)
     qtbot.wait(100)  # docks settle
-    return viewer, dock, cells, large_cell(dock.bench)
+    return viewer, dock, cells, large_cell(dock.workbench)
 
 
 def click(cells: Any, number: int) -> None:
@@ -104,7 +104,7 @@ def test_enter_folds_the_gallery_too_and_one_key_brings_it_back(
     qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
     assert place.is_open
     QTest.keyClick(cells.view, Qt.Key.Key_Right)
-    assert dock.bench.model.selected_cell == (0, 1)
+    assert dock.workbench.model.selected_cell == (0, 1)
     QTest.keyClick(cells.view, Qt.Key.Key_Escape)
     assert not place.is_open
     assert cells.view.hasFocus()
@@ -121,7 +121,7 @@ def test_what_the_user_brings_back_or_takes_away_stays_so(opened: Opened) -> Non
     canvas.dockLayerList.setFloating(True)
     click(cells, 2)
     assert folded(viewer) == [False, True, True]
-    dock.bench.navigator.to_module()
+    dock.workbench.navigator.to_module()
     assert folded(viewer) == [False, True, False]
 
 
@@ -145,7 +145,7 @@ def test_number_keys_and_clicks_swap_the_large_picture(opened: Opened, qtbot: Qt
 def test_another_task_brings_the_canvas_back(opened: Opened) -> None:
     _, dock, cells, place = opened
     dock.show_page("Review")
-    for leave in (lambda: dock.show_page("Grid"), dock.bench.navigator.to_frames):
+    for leave in (lambda: dock.show_page("Grid"), dock.workbench.navigator.to_frames):
         click(cells, 1)
         assert place.is_open
         leave()
@@ -157,7 +157,7 @@ def test_a_button_of_the_result_shows_the_module_and_not_the_cell(
     opened: Opened, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, dock, cells, place = opened
-    navigator, looked = dock.bench.navigator, []
+    navigator, looked = dock.workbench.navigator, []
     monkeypatch.setattr(navigator, "_look_at", lambda *at: looked.append(at[2:4]))
     click(cells, 1)
     navigator.to_module()
@@ -171,15 +171,15 @@ def test_a_run_that_ends_does_not_take_the_large_cell_away(
     opened: Opened, tiny_inspection: Inspection, qtbot: QtBot
 ) -> None:
     _, dock, cells, place = opened
-    qtbot.waitUntil(lambda: not dock.bench._fit_timer.isActive(), timeout=2000)
+    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive(), timeout=2000)
     click(cells, 1)
-    model = dock.bench.model
+    model = dock.workbench.model
     model.inspection = replace(tiny_inspection, cracks=replace(tiny_inspection.cracks))
     with qtbot.waitSignal(cells.filled):
         model.inspection_changed.emit(model.inspection)
-    qtbot.waitUntil(lambda: not dock.bench._fit_timer.isActive(), timeout=2000)
+    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive(), timeout=2000)
     assert place.is_open
-    dock.bench.navigator.to_all()
+    dock.workbench.navigator.to_all()
     assert not place.is_open
 
 
@@ -187,7 +187,7 @@ def test_without_large_a_click_only_moves_the_view(opened: Opened) -> None:
     _, dock, cells, place = opened
     cells.large.setChecked(False)
     click(cells, 2)
-    assert dock.bench.model.selected_cell == (0, 2)
+    assert dock.workbench.model.selected_cell == (0, 2)
     assert not place.is_open
 
 

@@ -17,9 +17,9 @@ from pv_inspect.results.write import write_result
 
 
 @pytest.fixture
-def list_view(bench: Any) -> Any:
+def list_view(workbench: Any) -> Any:
     """Return napari's list of layers."""
-    return bench[0].window._qt_viewer.layers
+    return workbench[0].window._qt_viewer.layers
 
 
 def is_sound(viewer: Any, list_view: Any, qtlog: Any) -> bool:
@@ -31,11 +31,11 @@ def is_sound(viewer: Any, list_view: Any, qtlog: Any) -> bool:
 
 
 def test_the_bent_grid_comes_back_alone_after_all_layers_were_deleted(
-    bench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
+    workbench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     dock.module.detect.click()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=10_000)
     viewer.layers.clear()
     dock.lens.kappa.slider.setValue(150)
     qtbot.wait(200)
@@ -44,7 +44,7 @@ def test_the_bent_grid_comes_back_alone_after_all_layers_were_deleted(
 
 
 def test_layers_of_the_reader_take_the_place_of_ours_one_after_the_other(
-    bench: Any,
+    workbench: Any,
     tiny_folder: Path,
     tiny_inspection: Inspection,
     tmp_path: Path,
@@ -52,38 +52,38 @@ def test_layers_of_the_reader_take_the_place_of_ours_one_after_the_other(
     qtlog: Any,
     list_view: Any,
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     viewer.layers.clear()
     write_result(tiny_inspection, tmp_path / "out")
     layers = [*read_sequence(tiny_folder), *read_result(tmp_path / "out")]
     for _ in range(2):
         for layer in layers:
             viewer.add_layer(Layer.create(*layer))
-        qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+        qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
     assert len(viewer.layers) == 7
     assert is_sound(viewer, list_view, qtlog)
 
 
 def test_another_sequence_takes_the_layer_of_the_one_before_away(
-    bench: Any, tiny_folder: Path, qtbot: QtBot, qtlog: Any, list_view: Any
+    workbench: Any, tiny_folder: Path, qtbot: QtBot, qtlog: Any, list_view: Any
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     files = sorted((tiny_folder / "frames").iterdir())
     viewer.dims.set_current_step(0, 4)
-    dock.bench.open(files[:2])
-    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+    dock.workbench.open(files[:2])
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
     assert [layer.name for layer in viewer.layers] == ["Frames"]
     assert len(viewer.layers["Frames"].data) == 2
     assert viewer.dims.nsteps[0] == 2
-    assert dock.bench.frames.frame < 2
+    assert dock.workbench.frames.frame < 2
     assert is_sound(viewer, list_view, qtlog)
 
 
 def test_the_image_of_other_rows_and_columns_goes_when_the_grid_of_these_is_found(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, _ = bench
-    model = dock.bench.model
+    viewer, dock, _ = workbench
+    model = dock.workbench.model
     dock.run.run.click()
     qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
     assert "Module image" in viewer.layers
@@ -95,29 +95,29 @@ def test_the_image_of_other_rows_and_columns_goes_when_the_grid_of_these_is_foun
 
 
 def test_look_at_both_brings_all_deleted_layers_back(
-    bench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
+    workbench: Any, replayed: Any, qtbot: QtBot, qtlog: Any, list_view: Any
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     dock.run.run.click()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=10_000)
     before = {layer.name for layer in viewer.layers}
     assert len(before) == 7
     viewer.layers.clear()
-    dock.bench.navigator.fit()
+    dock.workbench.navigator.fit()
     assert not viewer.layers
-    dock.bench.navigator.to_all()
+    dock.workbench.navigator.to_all()
     assert {layer.name for layer in viewer.layers} == before
     kept = viewer.layers["Module image"]
     viewer.layers.remove("Cracks")
-    dock.bench.navigator.to_module()
+    dock.workbench.navigator.to_module()
     assert {layer.name for layer in viewer.layers} == before
     assert viewer.layers["Module image"] is kept
     assert is_sound(viewer, list_view, qtlog)
 
 
-def test_the_frame_is_found_beside_a_layer_of_more_axes(bench: Any) -> None:
-    viewer, dock, _ = bench
+def test_the_frame_is_found_beside_a_layer_of_more_axes(workbench: Any) -> None:
+    viewer, dock, _ = workbench
     viewer.add_image(np.zeros((2, 3, 8, 8), np.float32))
-    dock.bench.frames.show(4)
-    assert dock.bench.frames.frame == 4
+    dock.workbench.frames.show(4)
+    assert dock.workbench.frames.frame == 4
     assert viewer.dims.current_step[:2] == (0, 4)

@@ -17,14 +17,14 @@ LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support",
 
 
 def idle(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=60_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=60_000)
 
 
 @pytest.mark.parametrize("name", LAYERS)
 def test_any_layer_may_be_renamed_and_another_run_goes_into_it(
-    bench: Any, replayed: Any, qtbot: QtBot, name: str
+    workbench: Any, replayed: Any, qtbot: QtBot, name: str
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     dock.run.run.click()
     idle(dock, qtbot)
     layers = list(viewer.layers)
@@ -44,23 +44,23 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
     viewers = [make_napari_viewer(), make_napari_viewer()]
     docks = [build(viewer)[0] for viewer in viewers]
     for dock in docks:
-        dock.bench.open(tiny_folder)
-        qtbot.waitUntil(lambda d=dock: not d.bench.opener.busy, timeout=20_000)
-        dock.bench.model.change_settings(magnification=2.0, max_iterations=3)
+        dock.workbench.open(tiny_folder)
+        qtbot.waitUntil(lambda d=dock: not d.workbench.opener.busy, timeout=20_000)
+        dock.workbench.model.change_settings(magnification=2.0, max_iterations=3)
     for dock in docks:
         dock.run.run.click()
-    assert all(dock.bench.model.run_state is RunState.RUNNING for dock in docks)
+    assert all(dock.workbench.model.run_state is RunState.RUNNING for dock in docks)
     for dock in docks:
         idle(dock, qtbot)
-        assert dock.bench.model.inspection.complete
+        assert dock.workbench.model.inspection.complete
     for k, dock in enumerate(docks):
         dock.save(tmp_path / f"out{k}")
-        state = dock.bench.review.state
+        state = dock.workbench.review.state
         qtbot.waitUntil(lambda s=state: s.folder is not None, timeout=20_000)
-        dock.bench.model.select_cell((k, 0))
-        dock.bench.review.judge(VerdictKind.OK)
+        dock.workbench.model.select_cell((k, 0))
+        dock.workbench.review.judge(VerdictKind.OK)
     viewers[0].close()
-    docks[1].bench.review.judge(VerdictKind.CRACK_A)
+    docks[1].workbench.review.judge(VerdictKind.CRACK_A)
     viewers[1].close()
     found = [ReviewStore(tmp_path / f"out{k}").current() for k in range(2)]
     assert [[v.cell for v in one] for one in found] == [[(0, 0)], [(1, 0), (1, 1)]]
@@ -75,14 +75,14 @@ def test_two_windows_judge_the_same_result_at_once(
     viewers = [make_napari_viewer(), make_napari_viewer()]
     docks = [build(viewer)[0] for viewer in viewers]
     for name, dock in zip(("Ada", "Ben"), docks, strict=True):
-        dock.bench.review.state.set_rater(name)
-        dock.bench.open(tmp_path / "out")
-        state = dock.bench.review.state
+        dock.workbench.review.state.set_rater(name)
+        dock.workbench.open(tmp_path / "out")
+        state = dock.workbench.review.state
         qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending, timeout=20_000)
     for kind in (VerdictKind.OK, VerdictKind.CRACK_B):
         for dock in docks:
-            dock.bench.review.state.give((0, 0), kind)
-            dock.bench.review.state.give((1, 1), kind)
+            dock.workbench.review.state.give((0, 0), kind)
+            dock.workbench.review.state.give((1, 1), kind)
     for viewer in viewers:
         viewer.close()
     found = ReviewStore(tmp_path / "out").current()
@@ -97,10 +97,10 @@ def test_two_windows_judge_the_same_result_at_once(
 
 @pytest.mark.parametrize("dock_name", ["Inspect module", "Cells"])
 def test_a_dock_may_be_closed_while_a_run_goes_on(
-    bench: Any, replayed: Any, qtbot: QtBot, dock_name: str
+    workbench: Any, replayed: Any, qtbot: QtBot, dock_name: str
 ) -> None:
-    viewer, dock, _ = bench
-    model = dock.bench.model
+    viewer, dock, _ = workbench
+    model = dock.workbench.model
     replayed.go_on = False
     dock.run.run.click()
     qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
@@ -115,7 +115,7 @@ def test_closing_by_code_asks_once_before_anything_is_closed(
 ) -> None:
     viewer = make_napari_viewer()
     dock, _ = build(viewer)
-    bench, window = dock.bench, viewer.window._qt_window
+    workbench, window = dock.workbench, viewer.window._qt_window
     canvas_class = type(window._qt_viewer)
     close_canvas, answers, closed = canvas_class.closeEvent, [True, False], []
 
@@ -124,7 +124,7 @@ def test_closing_by_code_asks_once_before_anything_is_closed(
         close_canvas(canvas, event)
 
     monkeypatch.setattr(canvas_class, "closeEvent", closing)
-    monkeypatch.setattr(bench.review, "may_close", lambda _: answers.pop())
+    monkeypatch.setattr(workbench.review, "may_close", lambda _: answers.pop())
     viewer.close()
     assert (answers, closed) == ([True], [])
     window._qt_viewer.close()

@@ -16,11 +16,11 @@ from napari_pv_inspect.widgets.kappa_plot import CurveView
 
 
 @pytest.fixture
-def lens(bench: Any, replayed: Any) -> tuple[Any, Any]:
-    """Dock and lens box with a fit on the bench."""
-    _, dock, _ = bench
-    dock.bench.model.inspection = replayed.inspection
-    dock.bench.model.inspection_changed.emit(replayed.inspection)
+def lens(workbench: Any, replayed: Any) -> tuple[Any, Any]:
+    """Dock and lens box with a fit open."""
+    _, dock, _ = workbench
+    dock.workbench.model.inspection = replayed.inspection
+    dock.workbench.model.inspection_changed.emit(replayed.inspection)
     return dock, dock.lens
 
 
@@ -28,7 +28,7 @@ def test_the_curve_has_its_lowest_point_at_the_fit(lens: Any, qtbot: QtBot) -> N
     dock, box = lens
     qtbot.waitUntil(lambda: box.curve.curve is not None, timeout=20_000)
     curve = box.curve.curve
-    fitted = dock.bench.model.inspection.calibration.camera.kappa
+    fitted = dock.workbench.model.inspection.calibration.camera.kappa
     assert curve.best == pytest.approx(fitted)
     lowest = curve.kappas[np.nanargmin(curve.rms_px)]
     # A tiny module tells kappa to a step of the curve.
@@ -38,7 +38,7 @@ def test_the_curve_has_its_lowest_point_at_the_fit(lens: Any, qtbot: QtBot) -> N
 
 def test_the_mark_follows_the_slider_and_fit_brings_it_back(lens: Any) -> None:
     dock, box = lens
-    fitted = dock.bench.model.inspection.registration.camera.kappa
+    fitted = dock.workbench.model.inspection.registration.camera.kappa
     assert box.curve.kappa == pytest.approx(fitted)
     box.kappa.number.setValue(0.123)
     assert box.curve.kappa == pytest.approx(0.123)
@@ -55,16 +55,16 @@ def refined(inspection: Any) -> Any:
 
 def test_kappa_is_the_same_on_the_page_and_in_the_footer(lens: Any, qtbot: QtBot) -> None:
     dock, box = lens
-    whole = refined(dock.bench.model.inspection)
-    dock.bench.model.inspection = whole
-    dock.bench.model.inspection_changed.emit(whole)
+    whole = refined(dock.workbench.model.inspection)
+    dock.workbench.model.inspection = whole
+    dock.workbench.model.inspection_changed.emit(whole)
     assert box.kappa.number.value() == pytest.approx(whole.registration.camera.kappa, abs=1e-4)
     kappa = f"kappa {whole.registration.camera.kappa:+.4f}"
     assert kappa in dock.result.summary.text()
     qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
     assert "preliminary" not in box.residual.text() + dock.result.summary.text()
-    dock.bench.model.inspection = early = whole.with_part(whole.calibration)
-    dock.bench.model.inspection_changed.emit(early)
+    dock.workbench.model.inspection = early = whole.with_part(whole.calibration)
+    dock.workbench.model.inspection_changed.emit(early)
     kappa = f"preliminary kappa {whole.calibration.camera.kappa:+.4f}"
     assert kappa in dock.result.summary.text()
     qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
@@ -90,7 +90,7 @@ def colours(image: QImage) -> int:
 
 def test_a_saved_camera_is_loaded_named_and_cleared(lens: Any, tmp_path: Path) -> None:
     dock, box = lens
-    model = dock.bench.model
+    model = dock.workbench.model
     path = tmp_path / "lens.yaml"
     box.save_camera(path)
     box.kappa.number.setValue(0.2)
@@ -107,11 +107,11 @@ def test_a_saved_camera_is_loaded_named_and_cleared(lens: Any, tmp_path: Path) -
 def test_a_useless_camera_file_is_one_sentence(lens: Any, tmp_path: Path) -> None:
     dock, box = lens
     told: list[tuple[str, bool]] = []
-    dock.bench.model.noticed.connect(lambda text, bad: told.append((text, bad)))
+    dock.workbench.model.noticed.connect(lambda text, bad: told.append((text, bad)))
     path = tmp_path / "wrong.yaml"
     path.write_text("nothing: 1\n")
     box.load_camera(path)
     box.save_camera(tmp_path / "missing" / "camera.yaml")
     assert [bad for _, bad in told] == [True, True]
     assert "camera matrix" in told[0][0]
-    assert dock.bench.model.settings.calibration_file is None
+    assert dock.workbench.model.settings.calibration_file is None

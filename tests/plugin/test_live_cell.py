@@ -42,14 +42,14 @@ Bench = tuple[Any, InspectDock, CellsDock]
 
 
 @pytest.fixture
-def live(bench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[InspectDock, LiveDock]:
+def live(workbench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[InspectDock, LiveDock]:
     """The workbench with a whole inspection and the live cell open."""
-    _, dock, _ = bench
-    model = dock.bench.model
+    _, dock, _ = workbench
+    model = dock.workbench.model
     model.inspection = tiny_inspection
     model.inspection_changed.emit(tiny_inspection)
-    shown = show_live_cell(dock.bench, dock)
-    dock.bench.live_cell.set_active(True)
+    shown = show_live_cell(dock.workbench, dock)
+    dock.workbench.live_cell.set_active(True)
     qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
     return dock, shown
 
@@ -57,13 +57,15 @@ def live(bench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[Inspect
 def has_ended(live: LiveDock) -> bool:
     picture = live._picture
     return (
-        picture is not None and picture.finished and picture.settings == live.bench.model.settings
+        picture is not None
+        and picture.finished
+        and picture.settings == live.workbench.model.settings
     )
 
 
 def settled(qtbot: Any, live: LiveDock) -> None:
     qtbot.waitUntil(lambda: has_ended(live), timeout=LONG_MS)
-    live.bench.live_cell.settle()
+    live.workbench.live_cell.settle()
 
 
 def test_the_first_cell_is_the_most_suspicious_one(tiny_inspection: Inspection) -> None:
@@ -118,7 +120,9 @@ def test_the_grid_is_redrawn_for_the_lens_only(
 ) -> None:
     dock, _ = live
     drawn: list[int] = []
-    monkeypatch.setattr(dock.bench.geometry, "bend", lambda frame, _: drawn.append(frame))
+    monkeypatch.setattr(
+        dock.workbench.geometry, "replace_frame", lambda frame, _: drawn.append(frame)
+    )
     dock.lens.kappa.slider.setValue(dock.lens.kappa.slider.value() + 20)
     qtbot.waitUntil(lambda: bool(drawn))
     qtbot.wait(200)
@@ -137,11 +141,11 @@ def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
     for position in (300, 320, 340):
         dock.image.prior_weight.slider.setValue(position)
     settled(qtbot, shown)
-    assert len(dock.bench.tuning.trials) == 2
+    assert len(dock.workbench.tuning.trials) == 2
     assert shown.trials.trials.rowCount() == 2
     assert shown.trials.view.model().index(1).data().startswith("lambda")
-    dock.bench.history.undo()
-    assert dock.bench.model.settings.prior_weight is None
+    dock.workbench.history.undo()
+    assert dock.workbench.model.settings.prior_weight is None
     assert dock.image.automatic.isChecked()
 
 
@@ -151,7 +155,7 @@ def test_it_is_compared_with(
 ) -> None:
     dock, shown = live
     settled(qtbot, shown)
-    dock.bench.model.change_settings(prior_weight=5.0)
+    dock.workbench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
     shown.compare(source)
     qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None, timeout=LONG_MS)
@@ -164,11 +168,11 @@ def test_a_trial_of_another_cell_is_rendered_for_this_one(
 ) -> None:
     dock, shown = live
     settled(qtbot, shown)
-    trial = dock.bench.tuning.trials[0]
+    trial = dock.workbench.tuning.trials[0]
     other = (2, 3) if trial.picture.cell != (2, 3) else (0, 0)
-    dock.bench.model.select_cell(other)
+    dock.workbench.model.select_cell(other)
     qtbot.waitUntil(lambda: shown._picture.cell == other, timeout=LONG_MS)
-    cell = dock.bench.live_cell
+    cell = dock.workbench.live_cell
     qtbot.waitUntil(lambda: cell.reference(trial) is not None, timeout=LONG_MS)
     assert cell.reference(trial).cell == other
 
@@ -179,7 +183,7 @@ def test_a_trial_is_named_in_place(live: tuple[InspectDock, LiveDock], qtbot: An
     index = shown.trials.trials.index(0)
     assert shown.trials.trials.setData(index, "good")
     assert index.data() == "good"
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     assert index.data() == "first look"
 
 
@@ -188,7 +192,7 @@ def test_two_selected_trials_are_compared_with_each_other(
 ) -> None:
     dock, shown = live
     settled(qtbot, shown)
-    dock.bench.model.change_settings(prior_weight=5.0)
+    dock.workbench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
     shown.trials.view.selectAll()
     assert (shown.against.choice, shown.shown.choice) == (1, 2)
@@ -207,7 +211,7 @@ def test_any_trial_is_compared_with_bicubic_and_with_any_other(
     dock, shown = live
     settled(qtbot, shown)
     for weight in (5.0, 7.0):
-        dock.bench.model.change_settings(prior_weight=weight)
+        dock.workbench.model.change_settings(prior_weight=weight)
         settled(qtbot, shown)
     in_list = [shown.against.itemText(k) for k in range(shown.against.count())]
     assert in_list[-3:] == ["first look", "lambda 5", "lambda 7"]
@@ -217,16 +221,16 @@ def test_any_trial_is_compared_with_bicubic_and_with_any_other(
     shown.compare(3, 1)
     assert texts(shown) == ["lambda 7", "first look"]
     other = (2, 3) if shown._picture.cell != (2, 3) else (0, 0)
-    dock.bench.model.select_cell(other)
-    cell = dock.bench.live_cell
-    first, _, third = dock.bench.tuning.trials
+    dock.workbench.model.select_cell(other)
+    cell = dock.workbench.live_cell
+    first, _, third = dock.workbench.tuning.trials
     qtbot.waitUntil(
         lambda: cell.reference(first) is not None and cell.reference(third) is not None,
         timeout=LONG_MS,
     )
     assert texts(shown) == ["lambda 7", "first look"]
     # Who moves a control wants to see what it does.
-    dock.bench.model.change_settings(prior_weight=6.0)
+    dock.workbench.model.change_settings(prior_weight=6.0)
     assert texts(shown) == ["lambda 7", "live"]
 
 
@@ -236,16 +240,16 @@ def test_a_named_trial_has_its_name_on_both_sides(
     dock, shown = live
     settled(qtbot, shown)
     shown.compare(1)
-    dock.bench.tuning.rename(dock.bench.tuning.trials[0], "sharp")
+    dock.workbench.tuning.rename(dock.workbench.tuning.trials[0], "sharp")
     assert texts(shown) == ["sharp", "live"]
     assert shown.against.currentText() == "sharp"
-    dock.bench.model.open(dock.bench.model.sequence)
+    dock.workbench.model.open(dock.workbench.model.sequence)
     assert shown.against.choice is Source.BICUBIC
 
 
 def test_the_comparison_is_driven_by_keys(live: tuple[InspectDock, LiveDock]) -> None:
     dock, shown = live
-    group = {key.sequence for key in dock.bench.shortcuts.keys if key.group == "Live cell"}
+    group = {key.sequence for key in dock.workbench.shortcuts.keys if key.group == "Live cell"}
     assert group == {"F", "Left", "Right", "Home", "End"}
     shown.view.step(2)
     assert shown.view.divider == pytest.approx(0.6)
@@ -255,12 +259,12 @@ def test_the_comparison_is_driven_by_keys(live: tuple[InspectDock, LiveDock]) ->
 
 def test_it_computes_only_while_it_is_seen(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
     dock, shown = live
-    dock.bench.live_cell.set_active(False)
+    dock.workbench.live_cell.set_active(False)
     before = shown._picture
-    dock.bench.model.change_settings(prior_weight=7.0)
+    dock.workbench.model.change_settings(prior_weight=7.0)
     qtbot.wait(300)
     assert shown._picture is before
-    dock.bench.live_cell.set_active(True)
+    dock.workbench.live_cell.set_active(True)
     qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
 
 
@@ -268,8 +272,8 @@ def test_a_geometry_out_of_reach_is_one_sentence(
     live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
     dock, shown = live
-    names = dock.bench.model.sequence.names
-    dock.bench.model.change_settings(skip_frames=names)
+    names = dock.workbench.model.sequence.names
+    dock.workbench.model.change_settings(skip_frames=names)
     qtbot.waitUntil(lambda: "All frames are left out" in shown.caption.text(), timeout=LONG_MS)
 
 
@@ -280,9 +284,9 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     dock, shown = live
-    model = dock.bench.model
+    model = dock.workbench.model
     replayed.go_on = False
-    assert dock.bench.runs.start()
+    assert dock.workbench.runs.start()
     asked: list[Settings] = []
     render, go_on = CellRenderer.pictures, Event()
 
@@ -300,7 +304,7 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
     assert model.run_state is RunState.RUNNING
     assert asked[-1] == model.settings
     assert len(asked) <= 2
-    dock.bench.runs.cancel()
+    dock.workbench.runs.cancel()
     qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=LONG_MS)
     assert has_ended(shown)
 
@@ -310,7 +314,7 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
 ) -> None:
     dock, shown = live
     settled(qtbot, shown)
-    model, render, begun, go_on = dock.bench.model, CellRenderer.pictures, Event(), Event()
+    model, render, begun, go_on = dock.workbench.model, CellRenderer.pictures, Event(), Event()
     before = model.inspection
     late: list[Any] = []
 
@@ -326,7 +330,7 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
 
     monkeypatch.setattr(CellRenderer, "pictures", slow)
     arrived: list[Any] = []
-    dock.bench.live_cell.pictured.connect(arrived.append)
+    dock.workbench.live_cell.pictured.connect(arrived.append)
     model.change_settings(prior_weight=4.0)
     assert begun.wait(LONG_MS / 1e3)
     model.inspection = replace(before, registration=replace(before.registration))
@@ -337,33 +341,33 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
     assert not any(one is other for one in arrived for other in late)
 
 
-def test_without_a_run_it_says_what_is_needed(bench: Bench) -> None:
-    _, dock, _ = bench
-    shown = show_live_cell(dock.bench, dock)
+def test_without_a_run_it_says_what_is_needed(workbench: Bench) -> None:
+    _, dock, _ = workbench
+    shown = show_live_cell(dock.workbench, dock)
     assert "Run once first" in shown.view._message
-    assert show_live_cell(dock.bench, dock) is shown
+    assert show_live_cell(dock.workbench, dock) is shown
 
 
 def test_a_result_without_its_frames_says_where_they_were_looked_for(
-    bench: Bench, tiny_inspection: Inspection, tmp_path: Path
+    workbench: Bench, tiny_inspection: Inspection, tmp_path: Path
 ) -> None:
-    _, dock, _ = bench
-    shown = show_live_cell(dock.bench, dock)
+    _, dock, _ = workbench
+    shown = show_live_cell(dock.workbench, dock)
     write_result(tiny_inspection, tmp_path / "out")
     why = "The frames are no longer at /somewhere."
-    dock.bench.model.open_result(read_result(tmp_path / "out"), why)
+    dock.workbench.model.open_result(read_result(tmp_path / "out"), why)
     assert shown.view._message == why
     assert dock.image.plot._why == why
-    dock.bench.model.open(tiny_inspection.sequence)
+    dock.workbench.model.open(tiny_inspection.sequence)
     assert "Run once first" in shown.view._message
     assert "Run once" in dock.image.plot._why
 
 
 def test_the_view_is_fitted_once_the_canvas_has_its_size(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, qtbot: Any
+    workbench: Bench, monkeypatch: pytest.MonkeyPatch, qtbot: Any
 ) -> None:
-    _, dock, _ = bench
-    workbench, fitted = dock.bench, []
+    _, dock, _ = workbench
+    workbench, fitted = dock.workbench, []
     qtbot.waitUntil(lambda: not workbench._fit_timer.isActive(), timeout=LONG_MS)
     canvas = workbench.viewer.canvas
     monkeypatch.setattr(workbench.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
@@ -382,16 +386,16 @@ def test_the_window_closes_while_the_live_cell_is_at_work(
     live: tuple[InspectDock, LiveDock],
 ) -> None:
     dock, _ = live
-    dock.bench.model.change_settings(prior_weight=3.0)
-    dock.bench.close()
-    dock.bench.model.change_settings(prior_weight=4.0)
+    dock.workbench.model.change_settings(prior_weight=3.0)
+    dock.workbench.close()
+    dock.workbench.model.change_settings(prior_weight=4.0)
 
 
 def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
     live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
     dock, shown = live
-    dock.bench.model.change_settings(prior="tikhonov")
+    dock.workbench.model.change_settings(prior="tikhonov")
     qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
     expected = typical_prior_weight("tikhonov")
     assert f"lambda {expected:.3g}" in shown.caption.text()
@@ -403,8 +407,8 @@ def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) ->
     plot = dock.image.plot
     at = QPointF(plot.x_of(0.5), plot.height() / 2)
     QTest.mouseClick(plot, Qt.MouseButton.LeftButton, pos=at.toPoint())
-    assert dock.bench.model.settings.prior_weight == pytest.approx(0.5, rel=0.1)
-    assert dock.bench.history.undo_text == "Change lambda"
+    assert dock.workbench.model.settings.prior_weight == pytest.approx(0.5, rel=0.1)
+    assert dock.workbench.history.undo_text == "Change lambda"
 
 
 def test_the_axis_of_lambda_is_logarithmic_and_inverts(
@@ -464,7 +468,7 @@ def test_a_dock_that_was_closed_comes_back(live: tuple[InspectDock, LiveDock], q
     place.destroyOnClose()
     qtbot.wait(50)
     dock.image.prior_weight.slider.setValue(200)
-    again = show_live_cell(dock.bench, dock)
+    again = show_live_cell(dock.workbench, dock)
     assert again is not shown
-    dock.bench.live_cell.set_active(True)
+    dock.workbench.live_cell.set_active(True)
     qtbot.waitUntil(lambda: has_ended(again), timeout=LONG_MS)

@@ -22,8 +22,8 @@ def test_they_were_seen_on_the_napari_that_is_installed() -> None:
     assert installed == internals.SEEN_ON, "look at napari_internals.py, then change SEEN_ON"
 
 
-def test_a_window_has_the_canvas_in_its_middle_and_two_docks_for_layers(bench: Any) -> None:
-    viewer, *_ = bench
+def test_a_window_has_the_canvas_in_its_middle_and_two_docks_for_layers(workbench: Any) -> None:
+    viewer, *_ = workbench
     window = internals.main_window(viewer)
     assert window is not None
     canvas = internals.canvas_area(window)
@@ -39,10 +39,10 @@ def test_a_viewer_without_a_window_has_none() -> None:
     assert internals.main_window(ViewerModel()) is None
 
 
-def test_the_proxy_that_plugins_get_is_unwrapped(bench: Any) -> None:
+def test_the_proxy_that_plugins_get_is_unwrapped(workbench: Any) -> None:
     from napari.utils._proxies import PublicOnlyProxy
 
-    viewer, *_ = bench
+    viewer, *_ = workbench
     assert internals.unwrapped(PublicOnlyProxy(viewer)) is viewer
     assert internals.unwrapped(viewer) is viewer
 
@@ -59,10 +59,10 @@ def test_a_window_that_napari_did_not_make_is_refused(qtbot: Any) -> None:
         internals.central_layout(window)
 
 
-def test_a_message_of_several_lines_is_shown_whole(bench: Any, qtbot: Any) -> None:
+def test_a_message_of_several_lines_is_shown_whole(workbench: Any, qtbot: Any) -> None:
     from napari._qt.dialogs.qt_notification import NapariQtNotification
 
-    viewer, *_ = bench
+    viewer, *_ = workbench
     window = internals.main_window(viewer)
     assert window is not None
     canvas = viewer.window._qt_viewer.canvas.native

@@ -41,7 +41,7 @@ def app(make_napari_viewer: Callable[..., Any]) -> tuple[Any, Any, Any]:
 
 
 def opened(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
 
 
 def add(viewer: Any, layers: list[Any]) -> None:
@@ -57,9 +57,9 @@ def test_a_result_comes_back_with_its_frames_grid_cells_and_settings(
     app: Any, result_folder: Path, tiny_inspection: Inspection, qtbot: QtBot
 ) -> None:
     viewer, dock, cells = app
-    dock.bench.open(result_folder)
+    dock.workbench.open(result_folder)
     opened(dock, qtbot)
-    model = dock.bench.model
+    model = dock.workbench.model
     assert names(viewer) == {"Frames", "Fitted grid", "Crossing points"} | MODULE_LAYERS
     assert model.inspection.complete
     assert model.settings == tiny_inspection.settings
@@ -75,12 +75,12 @@ def test_another_lambda_runs_from_the_stored_geometry(
     app: Any, result_folder: Path, qtbot: QtBot
 ) -> None:
     _, dock, _ = app
-    dock.bench.open(result_folder)
+    dock.workbench.open(result_folder)
     opened(dock, qtbot)
-    model = dock.bench.model
+    model = dock.workbench.model
     before = model.inspection
     model.change_settings(prior_weight=3.0)
-    assert dock.bench.runs.start()
+    assert dock.workbench.runs.start()
     qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=60_000)
     assert model.inspection.complete
     assert model.inspection.registration is before.registration
@@ -107,7 +107,9 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     write_result(replace(tiny_inspection, sequence=sequence), out)
     shutil.rmtree(tmp_path / "moved")
     notices: list[str] = []
-    dock.bench.model.noticed.connect(lambda text, error: notices.append(text) if error else None)
+    dock.workbench.model.noticed.connect(
+        lambda text, error: notices.append(text) if error else None
+    )
     add(viewer, read_result(out))
     opened(dock, qtbot)
     assert len(notices) == 1
@@ -120,7 +122,7 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
     image = viewer.layers["Module image"]
-    middle = dock.bench.model.result.grid.to_pixels(np.array([[0.5, 0.5]]))[0]
+    middle = dock.workbench.model.result.grid.to_pixels(np.array([[0.5, 0.5]]))[0]
     y, x = image.data_to_world((middle[1], middle[0]))
     assert tuple(viewer.scene.camera.center[-2:]) == pytest.approx((y, x), abs=1.0)
 
@@ -130,25 +132,25 @@ def test_the_selected_cell_the_frame_and_the_page_come_back(
 ) -> None:
     viewer, dock, _ = app
     write_session(Session((1, 2), 3, "Frames", (40.0, 50.0), 2.5), result_folder)
-    dock.bench.open(result_folder)
+    dock.workbench.open(result_folder)
     opened(dock, qtbot)
-    assert dock.bench.model.selected_cell == (1, 2)
+    assert dock.workbench.model.selected_cell == (1, 2)
     assert viewer.dims.current_step[0] == 3
     assert dock.pages.tabText(dock.pages.currentIndex()) == "Frames"
     qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5), timeout=2000)
-    dock.bench.model.select_cell((2, 1))
+    dock.workbench.model.select_cell((2, 1))
     qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1), timeout=3000)
 
 
 def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
-    bench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path
+    workbench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
-    viewer, dock, _ = bench
-    dock.bench.runs.start()
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    viewer, dock, _ = workbench
+    dock.workbench.runs.start()
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.bench.session.folder is not None, timeout=10_000)
-    dock.bench.model.select_cell((0, 3))
+    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None, timeout=10_000)
+    dock.workbench.model.select_cell((0, 3))
     viewer.dims.set_current_step(0, 4)
     viewer.close()
     assert read_session(tmp_path / "out").cell == (0, 3)
@@ -156,11 +158,11 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
 
 
 def test_a_result_that_is_being_written_is_whole_when_the_window_has_closed(
-    bench: Any, tiny_inspection: Inspection, tmp_path: Path
+    workbench: Any, tiny_inspection: Inspection, tmp_path: Path
 ) -> None:
-    viewer, dock, _ = bench
-    assert dock.bench.saver.save(tiny_inspection, tmp_path / "out")
-    assert not dock.bench.saver.save(tiny_inspection, tmp_path / "other")
+    viewer, dock, _ = workbench
+    assert dock.workbench.saver.save(tiny_inspection, tmp_path / "out")
+    assert not dock.workbench.saver.save(tiny_inspection, tmp_path / "other")
     viewer.close()
     assert (tmp_path / "out" / "result.json").is_file()
     assert not (tmp_path / "other").exists()
@@ -171,9 +173,9 @@ def test_a_stored_cell_that_the_module_has_not_is_ignored(
 ) -> None:
     _, dock, _ = app
     write_session(Session((50, 2), 99, "No such page"), result_folder)
-    dock.bench.open(result_folder)
+    dock.workbench.open(result_folder)
     opened(dock, qtbot)
-    assert dock.bench.model.selected_cell is None
+    assert dock.workbench.model.selected_cell is None
 
 
 def drop(viewer: Any, *paths: Path) -> None:
@@ -190,7 +192,7 @@ def test_folders_stacks_lists_and_results_can_be_dropped(
     app: Any, tiny_folder: Path, result_folder: Path, tmp_path: Path, qtbot: QtBot
 ) -> None:
     viewer, dock, _ = app
-    model = dock.bench.model
+    model = dock.workbench.model
     files = sorted((tiny_folder / "frames").iterdir())
     stack = tmp_path / "stack.tif"
     tifffile.imwrite(
@@ -212,7 +214,9 @@ def test_a_dropped_folder_without_frames_is_one_sentence_and_an_array_is_left_to
         type(viewer.window._qt_viewer), "_qt_open", lambda _, paths, **__: left.append(paths)
     )
     notices: list[str] = []
-    dock.bench.model.noticed.connect(lambda text, error: notices.append(text) if error else None)
+    dock.workbench.model.noticed.connect(
+        lambda text, error: notices.append(text) if error else None
+    )
     (tmp_path / "empty").mkdir()
     (tmp_path / "array").mkdir()
     (tmp_path / "array" / ".zgroup").write_text("{}")
@@ -223,35 +227,35 @@ def test_a_dropped_folder_without_frames_is_one_sentence_and_an_array_is_left_to
     assert left == []
     drop(viewer, tmp_path / "array")
     assert len(left) == 1
-    assert not dock.bench.opener.busy
+    assert not dock.workbench.opener.busy
 
 
 def test_the_newest_of_two_wishes_wins(app: Any, tiny_folder: Path, qtbot: QtBot) -> None:
     _, dock, _ = app
     files = sorted((tiny_folder / "frames").iterdir())
-    dock.bench.open(tiny_folder)
-    dock.bench.open(files[:2])
+    dock.workbench.open(tiny_folder)
+    dock.workbench.open(files[:2])
     opened(dock, qtbot)
     qtbot.wait(300)
-    assert len(dock.bench.model.sequence) == 2
+    assert len(dock.workbench.model.sequence) == 2
 
 
 def test_a_layer_of_the_reader_beats_what_is_still_being_opened(
     app: Any, tiny_folder: Path, tiny_sequence: FrameSequence, qtbot: QtBot
 ) -> None:
     viewer, dock, _ = app
-    dock.bench.open(sorted((tiny_folder / "frames").iterdir())[:2])
+    dock.workbench.open(sorted((tiny_folder / "frames").iterdir())[:2])
     add(viewer, read_sequence(str(tiny_folder)))
     qtbot.wait(500)
-    assert len(dock.bench.model.sequence) == 5
+    assert len(dock.workbench.model.sequence) == 5
 
 
 def test_another_dark_frame_reads_the_frames_again_and_a_wrong_one_is_refused(
     app: Any, tiny_folder: Path, tiny_sequence: FrameSequence, tmp_path: Path, qtbot: QtBot
 ) -> None:
     _, dock, _ = app
-    model = dock.bench.model
-    dock.bench.open(tiny_folder)
+    model = dock.workbench.model
+    dock.workbench.open(tiny_folder)
     opened(dock, qtbot)
     dark, wrong = tmp_path / "dark.tif", tmp_path / "wrong.tif"
     raw = tiny_sequence.raw(0)
@@ -280,17 +284,17 @@ def test_the_dark_frame_of_the_settings_is_used_for_what_napari_reads(
     viewer, dock, _ = app
     dark = tmp_path / "dark.tif"
     tifffile.imwrite(dark, np.full_like(tiny_sequence.raw(0), 7))
-    dock.bench.model.change_settings(dark_frame=dark)
+    dock.workbench.model.change_settings(dark_frame=dark)
     add(viewer, read_sequence(str(tiny_folder)))
     opened(dock, qtbot)
-    assert dock.bench.model.sequence.black_level == 7.0
+    assert dock.workbench.model.sequence.black_level == 7.0
 
 
 def test_closing_while_something_is_being_opened_is_quiet(app: Any, tiny_folder: Path) -> None:
     viewer, dock, _ = app
-    dock.bench.open(tiny_folder)
+    dock.workbench.open(tiny_folder)
     viewer.close()
-    assert dock.bench.model.sequence is None
+    assert dock.workbench.model.sequence is None
 
 
 def test_two_viewers_hold_two_modules(
@@ -298,14 +302,14 @@ def test_two_viewers_hold_two_modules(
 ) -> None:
     first, second = make_napari_viewer(), make_napari_viewer()
     docks = [build(first)[0], build(second)[0]]
-    docks[0].bench.open(tiny_folder)
-    docks[1].bench.open(result_folder)
+    docks[0].workbench.open(tiny_folder)
+    docks[1].workbench.open(result_folder)
     for dock in docks:
         opened(dock, qtbot)
-    assert docks[0].bench.model.inspection is None
-    assert docks[1].bench.model.inspection.complete
+    assert docks[0].workbench.model.inspection is None
+    assert docks[1].workbench.model.inspection.complete
     first.close()
-    docks[1].bench.model.select_cell((1, 1))
+    docks[1].workbench.model.select_cell((1, 1))
     assert "Module image" in second.layers
 
 
@@ -314,8 +318,8 @@ def test_the_status_bar_says_when_something_is_open(
 ) -> None:
     viewer, dock, _ = app
     said: list[str] = []
-    dock.bench.model.noticed.connect(lambda text, _: said.append(text))
-    dock.bench.open(result_folder)
+    dock.workbench.model.noticed.connect(lambda text, _: said.append(text))
+    dock.workbench.open(result_folder)
     opened(dock, qtbot)
     name = result_folder.name
     assert said[:2] == [f"Opening {name} ...", f"Opened {name}."]

@@ -9,18 +9,18 @@ import pytest
 from pytestqt.qtbot import QtBot
 from qtpy.QtCore import Qt
 
-from napari_pv_inspect import appearance as look
+from napari_pv_inspect import appearance
 from napari_pv_inspect.layers.points import COLOURS
 from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.settings import Stage
 
 
 @pytest.fixture
-def detected(bench: Any, replayed: Any, qtbot: QtBot) -> tuple[Any, Any, Any]:
-    """Viewer, dock and points layer with the whole tiny inspection on the bench."""
-    viewer, dock, _ = bench
-    dock.bench.model.inspection = replayed.inspection
-    dock.bench.model.inspection_changed.emit(replayed.inspection)
+def detected(workbench: Any, replayed: Any, qtbot: QtBot) -> tuple[Any, Any, Any]:
+    """Viewer, dock and points layer with the whole tiny inspection open."""
+    viewer, dock, _ = workbench
+    dock.workbench.model.inspection = replayed.inspection
+    dock.workbench.model.inspection_changed.emit(replayed.inspection)
     viewer.dims.set_current_step(0, 2)
     dock.points.select.click()
     return viewer, dock, viewer.layers["Crossing points"]
@@ -28,11 +28,11 @@ def detected(bench: Any, replayed: Any, qtbot: QtBot) -> tuple[Any, Any, Any]:
 
 def rest(dock: Any, qtbot: QtBot) -> None:
     """Wait until all frames have followed."""
-    qtbot.waitUntil(lambda: not dock.bench.recalibration.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.recalibration.busy, timeout=20_000)
 
 
 def row_of(dock: Any, frame: int, crossing: int) -> int:
-    marks = dock.bench.points._marks
+    marks = dock.workbench.points._marks
     return int(np.flatnonzero((marks.frame == frame) & (marks.crossing == crossing))[0])
 
 
@@ -51,40 +51,42 @@ def test_a_dragged_point_is_an_edit_that_the_fit_follows_and_undo_takes_back(
     detected: Any, qtbot: QtBot
 ) -> None:
     viewer, dock, layer = detected
-    bench, grid = dock.bench, viewer.layers["Fitted grid"]
-    whole = bench.model.inspection
+    workbench, grid = dock.workbench, viewer.layers["Fitted grid"]
+    whole = workbench.model.inspection
     before, lines = layer.data.copy(), grid.data.copy()
     row = row_of(dock, 2, 6)
     drag(layer, [row], (3.0, -2.0))
     np.testing.assert_allclose(layer.data[row] - before[row], [0.0, 3.0, -2.0])
-    assert str(layer.symbol[row]) == look.POINT_SYMBOLS[2]
+    assert str(layer.symbol[row]) == appearance.POINT_SYMBOLS[2]
     np.testing.assert_allclose(layer.border_color[row], COLOURS[2], atol=1e-6)
-    bent = grid.data[:, 0, 0] == 2
-    qtbot.waitUntil(lambda: not np.array_equal(grid.data[bent], lines[bent]), timeout=2000)
+    fitted = grid.data[:, 0, 0] == 2
+    qtbot.waitUntil(lambda: not np.array_equal(grid.data[fitted], lines[fitted]), timeout=2000)
     assert "1 edited" in dock.points.state.text()
-    assert bench.editor.provisional
-    assert bench.model.inspection.calibration is None
+    assert workbench.editor.provisional
+    assert workbench.model.inspection.calibration is None
     rest(dock, qtbot)
-    fit = bench.model.inspection.calibration
+    fit = workbench.model.inspection.calibration
     assert fit is not None
-    assert not bench.editor.provisional
-    assert bench.model.to_do == {s for s in Stage if s.index >= Stage.REGISTER.index}
-    bench.history.undo()
-    assert bench.model.inspection is whole
+    assert not workbench.editor.provisional
+    assert workbench.model.to_do == {s for s in Stage if s.index >= Stage.REGISTER.index}
+    workbench.history.undo()
+    assert workbench.model.inspection is whole
     np.testing.assert_array_equal(layer.data, before)
     np.testing.assert_allclose(grid.data, lines)
-    bench.history.redo()
+    workbench.history.redo()
     assert layer.data[row, 1] == before[row, 1] + 3.0
-    assert not bench.model.inspection.complete
+    assert not workbench.model.inspection.complete
     rest(dock, qtbot)
 
 
 def test_keys_undo_while_the_canvas_or_the_dock_has_the_focus(detected: Any, qtbot: QtBot) -> None:
     viewer, dock, layer = detected
     drag(layer, [row_of(dock, 2, 6)], (3.0, -2.0))
-    shortcut = next(s for key, s in dock.bench.shortcuts._bound.items() if key.sequence == "Ctrl+Z")
+    shortcut = next(
+        s for key, s in dock.workbench.shortcuts._bound.items() if key.sequence == "Ctrl+Z"
+    )
     shortcut.activated.emit()
-    assert not dock.bench.editor.edits
+    assert not dock.workbench.editor.edits
     assert viewer.layers.selection.active is layer
     rest(dock, qtbot)
 
@@ -98,29 +100,29 @@ def test_a_deleted_point_is_predicted_and_an_added_one_is_edited(
     layer.selected_data = {row}
     qtbot.mouseClick(dock.points.delete, Qt.MouseButton.LeftButton)
     assert len(layer.data) == n
-    assert str(layer.symbol[row]) == look.POINT_SYMBOLS[1]
+    assert str(layer.symbol[row]) == appearance.POINT_SYMBOLS[1]
     where = layer.data[row] + [0.0, 0.7, 0.2]
     layer.add(where)
     assert len(layer.data) == n
     np.testing.assert_allclose(layer.data[row], where)
-    assert str(layer.symbol[row]) == look.POINT_SYMBOLS[2]
+    assert str(layer.symbol[row]) == appearance.POINT_SYMBOLS[2]
     # napari's own key for deleting.
     layer.selected_data = {row}
     layer.remove_selected()
     assert len(layer.data) == n
-    assert str(layer.symbol[row]) == look.POINT_SYMBOLS[1]
+    assert str(layer.symbol[row]) == appearance.POINT_SYMBOLS[1]
     rest(dock, qtbot)
 
 
 def test_a_point_far_from_every_crossing_is_refused_in_a_sentence(detected: Any) -> None:
     _, dock, layer = detected
     before, told = layer.data.copy(), []
-    undo = dock.bench.history.undo_text
-    dock.bench.model.noticed.connect(lambda text, _: told.append(text))
+    undo = dock.workbench.history.undo_text
+    dock.workbench.model.noticed.connect(lambda text, _: told.append(text))
     layer.add([2.0, -80.0, -80.0])
     np.testing.assert_array_equal(layer.data, before)
     assert "half a cell" in told[-1]
-    assert dock.bench.history.undo_text == undo
+    assert dock.workbench.history.undo_text == undo
 
 
 def test_points_of_other_frames_can_be_neither_moved_nor_deleted(
@@ -136,12 +138,12 @@ def test_points_of_other_frames_can_be_neither_moved_nor_deleted(
     np.testing.assert_allclose(layer.data[here], before[here] + [0, 4, 4])
     layer.selected_data = set(range(len(layer.data)))
     layer.remove_selected()
-    assert {place[0] for place in dock.bench.editor.edits.points} == {2}
-    dock.bench.history.undo()
-    dock.bench.history.undo()
+    assert {place[0] for place in dock.workbench.editor.edits.points} == {2}
+    dock.workbench.history.undo()
+    dock.workbench.history.undo()
     np.testing.assert_array_equal(layer.data, before)
     viewer.dims.set_current_step(0, 0)
-    assert dock.bench.model.inspection.complete
+    assert dock.workbench.model.inspection.complete
 
 
 def test_changing_the_frame_in_the_middle_of_a_drag_takes_it_back(detected: Any) -> None:
@@ -155,7 +157,7 @@ def test_changing_the_frame_in_the_middle_of_a_drag_takes_it_back(detected: Any)
         viewer.dims.set_current_step(0, 3)
     np.testing.assert_array_equal(layer.data, before)
     assert not layer.selected_data
-    assert not dock.bench.editor.edits
+    assert not dock.workbench.editor.edits
 
 
 def test_what_else_is_done_to_the_layer_is_taken_back(detected: Any) -> None:
@@ -165,7 +167,7 @@ def test_what_else_is_done_to_the_layer_is_taken_back(detected: Any) -> None:
     np.testing.assert_array_equal(layer.data, before)
     layer.data = np.zeros((0, 3))
     np.testing.assert_array_equal(layer.data, before)
-    assert not dock.bench.editor.edits
+    assert not dock.workbench.editor.edits
 
 
 def test_a_tool_brings_the_deleted_layer_back(detected: Any) -> None:
@@ -189,19 +191,19 @@ def test_points_rest_while_a_run_goes_on_and_the_run_uses_the_edited_ones(
     row, before = row_of(dock, 2, 6), layer.data.copy()
     drag(layer, [row], (3.0, 0.0))
     rest(dock, qtbot)
-    edited = dock.bench.editor.crossings
+    edited = dock.workbench.editor.crossings
     replayed.go_on = False
     dock.run.run.click()
     qtbot.waitUntil(lambda: replayed.starts != [], timeout=5000)
     assert replayed.starts[-1].crossings is edited
     assert not layer.editable
     assert not dock.points.select.isEnabled()
-    assert not dock.bench.editor.move(2, {6: (1.0, 1.0)})
-    # Undone meanwhile: the run ends with the edited points, the bench goes on without.
-    dock.bench.history.undo()
+    assert not dock.workbench.editor.move(2, {6: (1.0, 1.0)})
+    # Undone meanwhile: the run ends with the edited points, the workbench goes on without.
+    dock.workbench.history.undo()
     dock.run.cancel.click()
     replayed.go_on = True
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
     np.testing.assert_allclose(layer.data[row], before[row])
 
 
@@ -211,22 +213,22 @@ def test_a_new_detection_discards_edits_and_says_so(detected: Any, replayed: Any
     _, dock, layer = detected
     drag(layer, [row_of(dock, 2, 6)], (3.0, 0.0))
     told: list[str] = []
-    dock.bench.model.noticed.connect(lambda text, _: told.append(text))
+    dock.workbench.model.noticed.connect(lambda text, _: told.append(text))
     whole = replayed.inspection
     anew = replace(whole, crossings=replace(whole.crossings))
-    dock.bench.model.revise(anew)
+    dock.workbench.model.revise(anew)
     assert "1 edited points" in told[0]
-    assert not dock.bench.editor.edits
+    assert not dock.workbench.editor.edits
     # Undoing an edit of points that are gone changes nothing.
-    dock.bench.history.undo()
-    assert dock.bench.model.inspection is anew
+    dock.workbench.history.undo()
+    assert dock.workbench.model.inspection is anew
 
 
 def test_a_new_sequence_forgets_all_edits(detected: Any, tiny_sequence: Any, qtbot: QtBot) -> None:
     viewer, dock, layer = detected
     drag(layer, [row_of(dock, 2, 6)], (3.0, 0.0))
-    dock.bench.model.open(tiny_sequence)
-    assert dock.bench.editor.crossings is None
+    dock.workbench.model.open(tiny_sequence)
+    assert dock.workbench.editor.crossings is None
     assert "Crossing points" not in viewer.layers
     assert not dock.points.select.isEnabled()
     qtbot.wait(400)
@@ -236,6 +238,6 @@ def test_closing_the_window_during_the_fit_of_all_frames_works(detected: Any, qt
     viewer, dock, layer = detected
     drag(layer, [row_of(dock, 2, 6)], (3.0, 0.0))
     qtbot.wait(310)
-    dock.bench.close()
+    dock.workbench.close()
     qtbot.wait(300)
     assert viewer is not None

@@ -111,10 +111,10 @@ def test_shutdown_and_another_sequence_forget_the_run_that_waits(
 
 
 def test_run_is_offered_while_a_run_with_other_settings_goes_on(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
-    runs = dock.bench.runs
+    _, dock, _ = workbench
+    runs = dock.workbench.runs
     hold(runs, replayed, qtbot)
     assert not dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Cancel the run"
@@ -123,18 +123,20 @@ def test_run_is_offered_while_a_run_with_other_settings_goes_on(
     assert dock.steps.next.text() == "Run anew"
     dock.run.run.click()
     finish(runs, replayed, qtbot)
-    assert dock.bench.model.inspection.settings.prior_weight == 0.5
+    assert dock.workbench.model.inspection.settings.prior_weight == 0.5
 
 
-def test_no_inspection_of_an_earlier_run_is_kept(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    _, dock, _ = bench
-    runs = dock.bench.runs
+def test_no_inspection_of_an_earlier_run_is_kept(
+    workbench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    _, dock, _ = workbench
+    runs = dock.workbench.runs
     seen = []
     for weight in (0.1, 0.2, 0.3):
-        dock.bench.model.change_settings(prior_weight=weight)
+        dock.workbench.model.change_settings(prior_weight=weight)
         runs.start()
         finish(runs, replayed, qtbot)
-        seen.append(ref(dock.bench.model.inspection))
+        seen.append(ref(dock.workbench.model.inspection))
         replayed.starts.clear()
     qtbot.wait(50)
     gc.collect()

@@ -46,7 +46,7 @@ def test_a_key_in_the_gallery_stores_the_verdict_and_goes_on(
     saved: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
     _, dock, cells = saved
-    model = dock.bench.model
+    model = dock.workbench.model
     model.select_cell((0, 0))
     for kind in VerdictKind:
         press(cells.view, kind.key, qtbot)
@@ -56,7 +56,7 @@ def test_a_key_in_the_gallery_stores_the_verdict_and_goes_on(
     assert [v.cell for v in found] == [(k // 4, k % 4) for k in range(8)]
     assert model.selected_cell == (2, 0)
     assert dock.verdict.progress.text() == "8 of 12 cells judged"
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     stored(dock, qtbot)
     assert len(ReviewStore(tmp_path / "out").current()) == 7
     assert dock.verdict.progress.text() == "7 of 12 cells judged"
@@ -65,11 +65,11 @@ def test_a_key_in_the_gallery_stores_the_verdict_and_goes_on(
 def test_all_keys_of_the_review_are_in_the_help(saved: Any) -> None:
     _, dock, cells = saved
     cells.open_cell()
-    keys = {(key.sequence, key.group) for key in dock.bench.shortcuts.keys}
+    keys = {(key.sequence, key.group) for key in dock.workbench.shortcuts.keys}
     for kind in VerdictKind:
         assert (kind.key.upper(), "Gallery") in keys
         assert (kind.key.upper(), "Cell view") in keys
-    assert large_cell(dock.bench).is_open
+    assert large_cell(dock.workbench).is_open
 
 
 def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
@@ -77,22 +77,22 @@ def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
 ) -> None:
     _, dock, cells = saved
     dock.show_page("Review")
-    dock.bench.model.select_cell((1, 1))
+    dock.workbench.model.select_cell((1, 1))
     note: QLineEdit = dock.verdict.note
     note.setFocus()
     QTest.keyClicks(note, "back of a crack")
-    assert dock.bench.review.state.progress.judged == 0
+    assert dock.workbench.review.state.progress.judged == 0
     press(cells.view, "b", qtbot)
     stored(dock, qtbot)
     (verdict,) = ReviewStore(tmp_path / "out").current()
     assert (verdict.cell, verdict.kind) == ((1, 1), VerdictKind.CRACK_B)
     assert verdict.note == "back of a crack"
-    assert "back of a crack" in cell_text(dock.bench.review.state, (1, 1))
+    assert "back of a crack" in cell_text(dock.workbench.review.state, (1, 1))
 
 
 def test_the_gallery_filters_by_verdict(saved: Any, qtbot: QtBot) -> None:
     _, dock, cells = saved
-    review = dock.bench.review.state
+    review = dock.workbench.review.state
     review.give((0, 2), VerdictKind.CRACK_A)
     cells.filter.setCurrentText("crack A")
     assert [cells.cells.cell(cells.cells.index(k)) for k in range(cells.cells.rowCount())] == [
@@ -100,17 +100,17 @@ def test_the_gallery_filters_by_verdict(saved: Any, qtbot: QtBot) -> None:
     ]
     cells.filter.setCurrentText("not judged")
     assert cells.cells.rowCount() == 11
-    dock.bench.model.select_cell((0, 0))
-    dock.bench.review.judge(VerdictKind.OK)
+    dock.workbench.model.select_cell((0, 0))
+    dock.workbench.review.judge(VerdictKind.OK)
     assert cells.cells.rowCount() == 10
-    assert dock.bench.model.selected_cell == (0, 1)
+    assert dock.workbench.model.selected_cell == (0, 1)
     assert cells.cells.cell(cells.view.currentIndex()) == (0, 1)
     stored(dock, qtbot)
 
 
 def test_opacity_and_threshold_only_repaint(saved: Any) -> None:
     _, dock, cells = saved
-    before = dock.bench.review.state.features((0, 0))
+    before = dock.workbench.review.state.features((0, 0))
 
     def painted() -> int:
         picture = cells.cells._picture((1, 1)).toImage()
@@ -127,17 +127,17 @@ def test_opacity_and_threshold_only_repaint(saved: Any) -> None:
     assert painted() > few
     cells.opacity.setValue(0)
     assert painted() == 0
-    assert dock.bench.review.state.features((0, 0)) is before
+    assert dock.workbench.review.state.features((0, 0)) is before
 
 
 def test_the_first_verdict_on_an_unsaved_inspection_asks_to_save_and_is_kept(
-    bench: Any,
+    workbench: Any,
     tiny_inspection: Inspection,
     tmp_path: Path,
     qtbot: QtBot,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     show(dock, tiny_inspection)
     asked: list[int] = []
 
@@ -146,9 +146,9 @@ def test_the_first_verdict_on_an_unsaved_inspection_asks_to_save_and_is_kept(
         return str(tmp_path / "later"), ""
 
     monkeypatch.setattr(QFileDialog, "getSaveFileName", choose)
-    dock.bench.model.select_cell((0, 0))
-    dock.bench.review.judge(VerdictKind.CRACK_C)
-    dock.bench.review.judge(VerdictKind.OK)
+    dock.workbench.model.select_cell((0, 0))
+    dock.workbench.review.judge(VerdictKind.CRACK_C)
+    dock.workbench.review.judge(VerdictKind.OK)
     assert "2 not stored yet" in dock.verdict.progress.text()
     stored(dock, qtbot)
     assert asked == [1]
@@ -168,7 +168,7 @@ def test_closing_waits_for_what_is_not_stored_yet(
 
     monkeypatch.setattr(ReviewStore, "give", slow)
     for col in range(4):
-        dock.bench.review.state.give((0, col), VerdictKind.OK)
+        dock.workbench.review.state.give((0, col), VerdictKind.OK)
     viewer.close()
     assert len(ReviewStore(tmp_path / "out").current()) == 4
 
@@ -187,10 +187,10 @@ def test_if_nothing_can_be_stored_the_user_decides_about_closing(
     monkeypatch.setattr(ReviewStore, "give", full)
     answers = [QMessageBox.StandardButton.Cancel, QMessageBox.StandardButton.Discard]
     monkeypatch.setattr(QMessageBox, "question", lambda *_: answers.pop(0))
-    dock.bench.review.state.give((0, 0), VerdictKind.OK)
+    dock.workbench.review.state.give((0, 0), VerdictKind.OK)
     viewer.window._qt_window.close()
     assert viewer.window._qt_window.isVisible(), "Cancel keeps the window"
-    assert Workbench.of(viewer) is dock.bench
+    assert Workbench.of(viewer) is dock.workbench
     viewer.close()
     assert answers == []
     assert popups == ["Nothing more can be stored: the disk is full."]
@@ -208,7 +208,7 @@ def test_a_failure_that_is_known_is_asked_about_at_once(
     monkeypatch.setattr(ReviewStore, "give", full)
     discard = QMessageBox.StandardButton.Discard
     monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.give((0, 0), VerdictKind.OK)
     qtbot.waitUntil(lambda: state.is_failing, timeout=5000)
     patience: list[float] = []
@@ -230,9 +230,9 @@ def test_an_attempt_that_fails_ends_the_wait(tmp_path: Path) -> None:
 
 
 def test_tiles_of_half_cells_have_their_captions_close_below(
-    bench: Any, tiny_inspection: Inspection
+    workbench: Any, tiny_inspection: Inspection
 ) -> None:
-    _, dock, cells = bench
+    _, dock, cells = workbench
     show(dock, tiny_inspection)
     tiles = tiny_inspection.tiles
     half = replace(tiles, images=tiles.images[:, :, ::2], support=None)
@@ -248,14 +248,14 @@ def test_the_camera_stays_when_the_gallery_only_lists_again(
     saved: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, dock, cells = saved
-    dock.bench.model.select_cell((1, 1))
+    dock.workbench.model.select_cell((1, 1))
     looked: list[tuple[int, int]] = []
-    monkeypatch.setattr(dock.bench.navigator, "to_cell", lambda *cell: looked.append(cell))
+    monkeypatch.setattr(dock.workbench.navigator, "to_cell", lambda *cell: looked.append(cell))
     cells.zoom.setValue(120)
     cells._fit()
     cells.order.setCurrentText("by crack score")
     assert looked == []
-    dock.bench.model.select_cell((0, 2))
+    dock.workbench.model.select_cell((0, 2))
     assert looked == [(0, 2)]
 
 
@@ -269,16 +269,16 @@ def test_verdicts_come_back_with_a_result_folder(
         store.give(Verdict(1, 2, VerdictKind.CRACK_B, "Ben", "seen"))
     viewer = make_napari_viewer()
     dock, cells = build(viewer)
-    dock.bench.model.open_result(read_result(tmp_path / "out"))
+    dock.workbench.model.open_result(read_result(tmp_path / "out"))
     stored(dock, qtbot)
-    assert [v.rater for v in dock.bench.review.state.others((1, 2))] == ["Ben"]
-    dock.bench.model.select_cell((1, 2))
+    assert [v.rater for v in dock.workbench.review.state.others((1, 2))] == ["Ben"]
+    dock.workbench.model.select_cell((1, 2))
     assert "Ben: crack B (seen)" in cells.caption.text()
-    dock.bench.review.set_rater("Ben")
+    dock.workbench.review.set_rater("Ben")
     stored(dock, qtbot)
     assert dock.verdict.buttons[VerdictKind.CRACK_B].isChecked()
     cells.open_cell()
-    view = large_cell(dock.bench).view
+    view = large_cell(dock.workbench).view
     assert view.frame_panel.sentence == view.bicubic_panel.sentence == NO_FRAMES
 
 
@@ -286,9 +286,9 @@ def test_verdicts_come_back_with_a_result_folder(
 def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
     """Controls and cell view at the cell in row 2, column 2."""
     _, dock, cells = saved
-    dock.bench.model.select_cell((1, 1))
+    dock.workbench.model.select_cell((1, 1))
     cells.open_cell()
-    view = large_cell(dock.bench).view
+    view = large_cell(dock.workbench).view
     qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
     return dock, view
 
@@ -296,7 +296,7 @@ def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
 def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
     dock, view = large
     assert all(panel._image is not None for panel in view.panels)
-    inspection = dock.bench.model.inspection
+    inspection = dock.workbench.model.inspection
     motion = inspection.reconstruction.motion
     frame = best_frame(inspection.registration, inspection.sequence.shape, (1, 1), motion)
     assert frame is not None
@@ -310,11 +310,11 @@ def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
 def test_arrow_keys_go_to_other_cells(large: Any, qtbot: QtBot) -> None:
     dock, view = large
     press(view, Qt.Key.Key_Right, qtbot)
-    assert dock.bench.model.selected_cell == (1, 2)
+    assert dock.workbench.model.selected_cell == (1, 2)
     press(view, Qt.Key.Key_Down, qtbot)
-    assert dock.bench.model.selected_cell == (2, 2)
+    assert dock.workbench.model.selected_cell == (2, 2)
     press(view, "k", qtbot)
-    assert dock.bench.review.state.verdict((2, 2)).kind is VerdictKind.OK
+    assert dock.workbench.review.state.verdict((2, 2)).kind is VerdictKind.OK
     stored(dock, qtbot)
 
 
@@ -361,7 +361,7 @@ def test_brush_and_eraser_change_the_measured_length_and_can_be_undone(
     large: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
     dock, view = large
-    state, history = dock.bench.review.state, dock.bench.history
+    state, history = dock.workbench.review.state, dock.workbench.history
     before = state.features((1, 1)).crack_length_cells
     view.bar.drawing.setChecked(True)
     draw(view, LEFT, 0.3)
@@ -388,7 +388,7 @@ def test_table_and_report_are_written_with_the_module_data(
     saved: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
     _, dock, _ = saved
-    dock.bench.review.state.give((0, 0), VerdictKind.INACTIVE)
+    dock.workbench.review.state.give((0, 0), VerdictKind.INACTIVE)
     dock.export.fields["serial_number"].setText("PV-0815")
     dock.export.fields["current_a"].setText("8,5")
     dock.export.fields["serial_number"].editingFinished.emit()
@@ -442,30 +442,30 @@ def test_opening_the_result_again_goes_on_with_its_frames(
     saved: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
     _, dock, cells = saved
-    model, state = dock.bench.model, dock.bench.review.state
+    model, state = dock.workbench.model, dock.workbench.review.state
     before = model.inspection
     model.select_cell((1, 1))
     state.give((1, 1), VerdictKind.CRACK_B)
     stored(dock, qtbot)
-    dock.bench.open(tmp_path / "out")
+    dock.workbench.open(tmp_path / "out")
     qtbot.waitUntil(lambda: model.inspection not in (None, before), timeout=20_000)
     qtbot.waitUntil(lambda: state.verdict((1, 1)) is not None, timeout=10_000)
     assert state.folder == (tmp_path / "out").resolve()
     model.select_cell((1, 1))
     cells.open_cell()
-    view = large_cell(dock.bench).view
+    view = large_cell(dock.workbench).view
     qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
     stored(dock, qtbot)
 
 
 def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_told_to(
-    bench: Any,
+    workbench: Any,
     tiny_folder: Path,
     tiny_inspection: Inspection,
     monkeypatch: pytest.MonkeyPatch,
     qtbot: QtBot,
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     show(dock, tiny_inspection)
     asked: list[str] = []
     answers = [QMessageBox.StandardButton.Cancel] * 2 + [QMessageBox.StandardButton.Discard]
@@ -473,15 +473,15 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
         QMessageBox, "question", lambda *given: asked.append(given[2]) or answers.pop(0)
     )
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("", ""))
-    before, state = dock.bench.model.sequence, dock.bench.review.state
+    before, state = dock.workbench.model.sequence, dock.workbench.review.state
     state.give((0, 1), VerdictKind.CRACK_A)
-    dock.bench.open(tiny_folder)
-    assert not dock.bench.opener.busy
-    dock.bench.model.change_settings(dark_frame=tiny_folder / "dark.tif")
-    assert dock.bench.model.settings.dark_frame is None
+    dock.workbench.open(tiny_folder)
+    assert not dock.workbench.opener.busy
+    dock.workbench.model.change_settings(dark_frame=tiny_folder / "dark.tif")
+    assert dock.workbench.model.settings.dark_frame is None
     assert state.verdict((0, 1)).kind is VerdictKind.CRACK_A
-    dock.bench.open(tiny_folder)
-    qtbot.waitUntil(lambda: dock.bench.model.sequence is not before, timeout=10_000)
+    dock.workbench.open(tiny_folder)
+    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not before, timeout=10_000)
     assert state.verdict((0, 1)) is None
     sentence = "1 entries of the review are not stored, because the result was not saved yet."
     assert asked == [f"{sentence} Discard them?"] * 3
@@ -490,7 +490,7 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
 def test_the_focus_alone_selects_no_other_cell(saved: Any, qtbot: QtBot) -> None:
     """A verdict given after that would be about a cell that nobody chose."""
     viewer, dock, cells = saved
-    state, model = dock.bench.review.state, dock.bench.model
+    state, model = dock.workbench.review.state, dock.workbench.model
     model.select_cell((0, 3))
     state.give((0, 3), VerdictKind.CRACK_A)
     model.select_cell((1, 0))

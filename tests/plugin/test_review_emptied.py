@@ -30,19 +30,19 @@ def questions_answered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def judged(bench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
+def judged(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
     """Dock and gallery with a saved inspection of 3 x 4 cells, one of them judged and large."""
-    viewer, dock, cells = bench
+    viewer, dock, cells = workbench
     viewer.window._qt_window.show()
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.bench.review.state.folder is not None, timeout=10_000)
-    dock.bench.model.select_cell((2, 3))
-    dock.bench.review.goes_on = False
-    dock.bench.review.judge(OK)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None, timeout=10_000)
+    dock.workbench.model.select_cell((2, 3))
+    dock.workbench.review.advances = False
+    dock.workbench.review.judge(OK)
     stored(dock, qtbot)
     cells.open_cell()
-    assert large_cell(dock.bench).is_open
+    assert large_cell(dock.workbench).is_open
     return dock, cells
 
 
@@ -63,7 +63,7 @@ def narrower(whole: Inspection) -> Inspection:
 
 
 def is_empty(dock: Any, cells: Any, why: str) -> bool:
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     return (
         state.subject is None
         and cells.cells.rowCount() == 0
@@ -71,7 +71,7 @@ def is_empty(dock: Any, cells: Any, why: str) -> bool:
         and dock.verdict.progress.toolTip() == why
         and not dock.verdict.buttons[OK].isEnabled()
         and not dock.export.isEnabled()
-        and not large_cell(dock.bench).is_open
+        and not large_cell(dock.workbench).is_open
     )
 
 
@@ -87,9 +87,9 @@ def test_the_camera_does_not_stay_where_a_cell_was(
     judged: Any, tiny_inspection: Inspection
 ) -> None:
     dock, _ = judged
-    viewer, module = dock.bench.viewer, dock.bench.module
-    large_cell(dock.bench).leave()
-    dock.bench.navigator.to_cell(2, 3)
+    viewer, module = dock.workbench.viewer, dock.workbench.module
+    large_cell(dock.workbench).leave()
+    dock.workbench.navigator.to_cell(2, 3)
     at_the_cell = viewer.scene.camera.zoom
     show(dock, detected(tiny_inspection))
     assert viewer.scene.camera.zoom == at_the_cell, "the module image is still there"
@@ -104,12 +104,12 @@ def test_what_is_not_shown_is_not_judged(
     dock, cells = judged
     show(dock, detected(tiny_inspection, cols=5))
     said: list[str] = []
-    dock.bench.model.noticed.connect(lambda text, _: said.append(text))
-    dock.bench.review.judge(VerdictKind.CRACK_A)
-    dock.bench.review.withdraw()
+    dock.workbench.model.noticed.connect(lambda text, _: said.append(text))
+    dock.workbench.review.judge(VerdictKind.CRACK_A)
+    dock.workbench.review.withdraw()
     cells.open_cell()
     assert said == [OTHER_LAYOUT, OTHER_LAYOUT]
-    assert not large_cell(dock.bench).is_open
+    assert not large_cell(dock.workbench).is_open
     stored(dock, qtbot)
     assert [v.kind for v in ReviewStore(tmp_path / "out").current()] == [OK]
 
@@ -123,25 +123,25 @@ def test_a_grid_that_was_changed_empties_the_review_until_the_cells_are_back(
     show(dock, tiny_inspection)
     assert cells.cells.rowCount() == 12
     assert cells.view.message == ""
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     assert state.verdict((2, 3)).kind is OK
-    dock.bench.review.judge(VerdictKind.CRACK_B)
+    dock.workbench.review.judge(VerdictKind.CRACK_B)
     stored(dock, qtbot)
     assert [v.kind for v in ReviewStore(state.folder).current()] == [VerdictKind.CRACK_B]
 
 
 def test_what_was_never_saved_comes_back_with_its_cells(
-    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     monkeypatch.setattr(dock, "_on_save", lambda: None)
     show(dock, tiny_inspection)
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.give((0, 1), OK)
     show(dock, detected(tiny_inspection, cols=5))
     show(dock, tiny_inspection)
     assert state.verdict((0, 1)).kind is OK
-    assert dock.bench.history.undo_text is not None
+    assert dock.workbench.history.undo_text is not None
 
 
 def test_the_next_run_of_another_layout_begins_a_review_of_its_own(
@@ -150,11 +150,11 @@ def test_the_next_run_of_another_layout_begins_a_review_of_its_own(
     dock, cells = judged
     show(dock, detected(tiny_inspection, cols=3))
     show(dock, narrower(tiny_inspection))
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     assert cells.cells.rowCount() == 9
     assert state.folder is None
     assert state.verdict((2, 3)) is None
-    assert dock.bench.model.selected_cell is None, "it lies beyond the columns"
+    assert dock.workbench.model.selected_cell is None, "it lies beyond the columns"
     assert len(ReviewStore(tmp_path / "out").current()) == 1
 
 
@@ -163,23 +163,23 @@ def test_cells_stay_while_a_run_of_the_same_layout_goes_on(
 ) -> None:
     dock, cells = judged
     replayed.go_on = False
-    dock.bench.model.change_settings(prior_weight=0.5)
+    dock.workbench.model.change_settings(prior_weight=0.5)
     dock.run.run.click()
-    assert not large_cell(dock.bench).is_open, "the image grows on the canvas"
+    assert not large_cell(dock.workbench).is_open, "the image grows on the canvas"
     qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
-    assert dock.bench.model.shown.tiles is None
+    assert dock.workbench.model.shown.tiles is None
     assert cells.cells.rowCount() == 12
     replayed.go_on = True
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=10_000)
     assert cells.cells.rowCount() == 12
 
 
 def test_another_sequence_has_no_cells_yet(judged: Any, tiny_inspection: Inspection) -> None:
     dock, cells = judged
     show(dock, detected(tiny_inspection, cols=5))
-    dock.bench.model.open(tiny_inspection.sequence)
+    dock.workbench.model.open(tiny_inspection.sequence)
     assert is_empty(dock, cells, NO_CELLS)
-    assert dock.bench.review.state.folder is None
+    assert dock.workbench.review.state.folder is None
 
 
 def test_tiles_of_another_layout_are_no_subject(tiny_inspection: Inspection) -> None:
@@ -188,31 +188,31 @@ def test_tiles_of_another_layout_are_no_subject(tiny_inspection: Inspection) -> 
 
 
 def test_what_the_user_discards_is_not_told_again(
-    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     monkeypatch.setattr(dock, "_on_save", lambda: None)
     show(dock, tiny_inspection)
     said: list[str] = []
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.failed.connect(said.append)
     state.give((0, 0), OK)
-    assert dock.bench.opener.may_leave()
-    dock.bench.model.open(tiny_inspection.sequence)
+    assert dock.workbench.opener.may_leave()
+    dock.workbench.model.open(tiny_inspection.sequence)
     assert state.pending == 0
     assert said == []
 
 
 def test_what_is_lost_unasked_is_told(
-    bench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     monkeypatch.setattr(dock, "_on_save", lambda: None)
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", lambda _: None)
     show(dock, tiny_inspection)
     said: list[str] = []
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.failed.connect(said.append)
     state.give((0, 0), OK)
-    dock.bench.model.open(tiny_inspection.sequence)
+    dock.workbench.model.open(tiny_inspection.sequence)
     assert len(said) == 1

@@ -66,7 +66,7 @@ def test_two_processes_see_each_other_and_where_they_differ(
     saved: Any, ben: Callable[[str], str], qtbot: QtBot, tmp_path: Path
 ) -> None:
     _, dock, cells = saved
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.set_rater("Ada")
     state.give((0, 0), OK)
     state.give((0, 1), A)
@@ -155,13 +155,13 @@ def test_what_stands_in_the_note_is_stored_when_the_window_closes(
 ) -> None:
     viewer, dock, _ = saved
     dock.show_page("Review")
-    dock.bench.model.select_cell((2, 1))
+    dock.workbench.model.select_cell((2, 1))
     note = dock.verdict.note
     viewer.window._qt_window.activateWindow()
     note.setFocus()
     qtbot.waitUntil(note.hasFocus, timeout=2000)
     QTest.keyClicks(note, "not entered")
-    rater = dock.bench.review.state.rater
+    rater = dock.workbench.review.state.rater
     viewer.close()
     assert ReviewStore(tmp_path / "out").waiting_notes(rater) == {(2, 1): "not entered"}
 
@@ -169,13 +169,13 @@ def test_what_stands_in_the_note_is_stored_when_the_window_closes(
 def test_what_stands_in_the_note_goes_to_the_rater_who_typed_it(saved: Any, qtbot: QtBot) -> None:
     _, dock, _ = saved
     dock.show_page("Review")
-    state = dock.bench.review.state
+    state = dock.workbench.review.state
     state.set_rater("Ada")
-    dock.bench.model.select_cell((2, 1))
+    dock.workbench.model.select_cell((2, 1))
     QTest.keyClicks(dock.verdict.note, "by Ada")
-    dock.bench.review.set_rater("Ben")
+    dock.workbench.review.set_rater("Ben")
     assert dock.verdict.note.text() == ""
-    dock.bench.review.set_rater("Ada")
+    dock.workbench.review.set_rater("Ada")
     assert dock.verdict.note.text() == "by Ada"
     qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
 
@@ -185,7 +185,7 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
     saved: Any, qtbot: QtBot, order: str
 ) -> None:
     viewer, dock, cells = saved
-    state, model = dock.bench.review.state, dock.bench.model
+    state, model = dock.workbench.review.state, dock.workbench.model
     state.give((1, 1), B)  # a filtered cell in between
     cells.order.setCurrentText(order)
     cells.filter.setCurrentText("not judged")
@@ -196,7 +196,7 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
     cells.view.setFocus()
     qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
     QTest.keyClick(cells.view, Qt.Key.Key_Return)
-    view = large_cell(dock.bench).view
+    view = large_cell(dock.workbench).view
     qtbot.waitUntil(view.hasFocus, timeout=2000)
     judged = []
     for number in range(len(wanted)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.models.workflow import Deed, Status, next_step, steps_of
+from napari_pv_inspect.models.workflow import Status, StepAction, next_step, steps_of
 from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection, Step
@@ -40,7 +40,7 @@ def test_the_steps_are_those_of_the_method() -> None:
 def test_an_empty_bench_asks_for_frames() -> None:
     model = WorkbenchModel()
     assert statuses(model) == [N, *[W] * 7]
-    assert next_step(model).deed is Deed.OPEN
+    assert next_step(model).action is StepAction.OPEN
 
 
 def test_a_guessed_layout_is_confirmed_before_the_grid_is_detected(
@@ -49,9 +49,9 @@ def test_a_guessed_layout_is_confirmed_before_the_grid_is_detected(
     model = WorkbenchModel()
     sequence = replace(tiny_sequence, layout_hint={})
     model.open(sequence)
-    assert next_step(model).deed is Deed.GIVE_LAYOUT
+    assert next_step(model).action is StepAction.GIVE_LAYOUT
     model.guessing = True
-    assert next_step(model).deed is Deed.WAIT
+    assert next_step(model).action is StepAction.WAIT
     model.offer_layout(sequence, LayoutGuess(ModuleLayout(3, 4), 0.9, ()))
     assert next_step(model).text == "Confirm 3 x 4 cells"
     model.confirm_layout()
@@ -72,7 +72,7 @@ def test_a_whole_inspection_leads_to_the_review(
 ) -> None:
     finish(model, tiny_inspection)
     assert statuses(model) == [*[D] * 7, N]
-    assert next_step(model).deed is Deed.REVIEW
+    assert next_step(model).action is StepAction.REVIEW
 
 
 def test_a_changed_setting_makes_its_step_and_all_later_ones_stale(
@@ -92,7 +92,7 @@ def test_a_run_shows_what_it_works_on_and_can_be_cancelled_or_renewed(
     model.absorb(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
     model.absorb(Step(Stage.CALIBRATE, 0.2, ""))
     assert statuses(model)[:4] == [D, D, Status.WORKING, W]
-    assert next_step(model).deed is Deed.CANCEL
+    assert next_step(model).action is StepAction.CANCEL
     model.change_settings(prior_weight=0.3)
     assert next_step(model).text == "Run anew"
 

@@ -14,7 +14,7 @@ from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.session.trials import TrialKeeper
+from napari_pv_inspect.session.trials import TrialStore
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
 from pv_inspect.results.trials import read_trials
@@ -28,7 +28,7 @@ class Bench:
     def __init__(self) -> None:
         self.model = WorkbenchModel()
         self.tuning = Tuning(self.model, History())
-        self.keeper = TrialKeeper(self.model, self.tuning)
+        self.keeper = TrialStore(self.model, self.tuning)
         self.said: list[str] = []
         self.model.noticed.connect(lambda text, _: self.said.append(text))
 
@@ -54,8 +54,8 @@ def new_bench(qtbot: QtBot) -> Generator[Callable[[], Bench]]:
         return made[-1]
 
     yield make
-    for bench in made:
-        bench.keeper.close()
+    for workbench in made:
+        workbench.keeper.close()
 
 
 @pytest.fixture
@@ -65,19 +65,19 @@ def folder(tiny_inspection: Inspection, tmp_path: Path) -> Path:
     return tmp_path / "result"
 
 
-def titles(bench: Bench) -> list[str]:
-    return [trial.title for trial in bench.tuning.trials]
+def titles(workbench: Bench) -> list[str]:
+    return [trial.title for trial in workbench.tuning.trials]
 
 
 def test_trials_come_back_with_their_names_and_the_list_goes_on(
     new_bench: Callable[[], Bench], folder: Path
 ) -> None:
-    bench = new_bench()
-    bench.reopen(folder)
-    bench.try_(1.0)
-    bench.try_(2.0)
-    bench.tuning.rename(bench.tuning.trials[1], "sharp")
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.reopen(folder)
+    workbench.try_(1.0)
+    workbench.try_(2.0)
+    workbench.tuning.rename(workbench.tuning.trials[1], "sharp")
+    workbench.keeper.close()
 
     again = new_bench()
     again.reopen(folder)
@@ -95,9 +95,9 @@ def test_trials_come_back_with_their_names_and_the_list_goes_on(
 def test_trials_are_written_soon_after_a_change(
     new_bench: Callable[[], Bench], folder: Path, qtbot: QtBot
 ) -> None:
-    bench = new_bench()
-    bench.reopen(folder)
-    bench.try_(1.0)
+    workbench = new_bench()
+    workbench.reopen(folder)
+    workbench.try_(1.0)
     qtbot.waitUntil(lambda: len(read_trials(folder)) == 1, timeout=5000)
 
 
@@ -108,11 +108,11 @@ def test_saving_elsewhere_leaves_the_newest_trial_in_the_folder_before_as_well(
     tmp_path: Path,
 ) -> None:
     write_result(tiny_inspection, tmp_path / "elsewhere")
-    bench = new_bench()
-    bench.reopen(folder)
-    bench.try_(1.0)
-    bench.keeper.attach(tmp_path / "elsewhere")
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.reopen(folder)
+    workbench.try_(1.0)
+    workbench.keeper.attach(tmp_path / "elsewhere")
+    workbench.keeper.close()
     for place in (folder, tmp_path / "elsewhere"):
         assert [trial.settings.prior_weight for trial in read_trials(place)] == [1.0]
 
@@ -120,22 +120,22 @@ def test_saving_elsewhere_leaves_the_newest_trial_in_the_folder_before_as_well(
 def test_trials_made_before_the_first_save_go_with_it(
     new_bench: Callable[[], Bench], folder: Path
 ) -> None:
-    bench = new_bench()
-    bench.try_(1.0)
-    bench.keeper.attach(folder)
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.try_(1.0)
+    workbench.keeper.attach(folder)
+    workbench.keeper.close()
     assert [trial.settings.prior_weight for trial in read_trials(folder)] == [1.0]
 
 
 def test_another_sequence_takes_nothing_from_the_folder_of_the_last(
     new_bench: Callable[[], Bench], folder: Path, tiny_sequence: FrameSequence
 ) -> None:
-    bench = new_bench()
-    bench.reopen(folder)
-    bench.try_(1.0)
-    bench.model.open(tiny_sequence)
-    bench.try_(5.0)
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.reopen(folder)
+    workbench.try_(1.0)
+    workbench.model.open(tiny_sequence)
+    workbench.try_(5.0)
+    workbench.keeper.close()
     assert [trial.settings.prior_weight for trial in read_trials(folder)] == [1.0]
 
 
@@ -143,22 +143,22 @@ def test_damaged_trials_are_one_sentence_and_a_new_list_begins(
     new_bench: Callable[[], Bench], folder: Path
 ) -> None:
     (folder / "trials.npz").write_bytes(b"PK\x03\x04 and no more")
-    bench = new_bench()
-    bench.reopen(folder)
-    assert sum("can't be read" in text for text in bench.said) == 1
-    bench.try_(1.0)
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.reopen(folder)
+    assert sum("can't be read" in text for text in workbench.said) == 1
+    workbench.try_(1.0)
+    workbench.keeper.close()
     assert len(read_trials(folder)) == 1
 
 
 def test_a_trial_of_a_cell_that_the_module_has_not_is_left_out(
     new_bench: Callable[[], Bench], folder: Path
 ) -> None:
-    bench = new_bench()
-    bench.reopen(folder)
-    bench.try_(1.0, cell=(0, 0))
-    bench.try_(2.0, cell=(40, 0))
-    bench.keeper.close()
+    workbench = new_bench()
+    workbench.reopen(folder)
+    workbench.try_(1.0, cell=(0, 0))
+    workbench.try_(2.0, cell=(40, 0))
+    workbench.keeper.close()
     again = new_bench()
     again.reopen(folder)
     assert titles(again) == ["first look"]
@@ -167,28 +167,28 @@ def test_a_trial_of_a_cell_that_the_module_has_not_is_left_out(
 def test_a_folder_that_went_away_is_told_once(
     new_bench: Callable[[], Bench], folder: Path, qtbot: QtBot
 ) -> None:
-    bench = new_bench()
-    bench.reopen(folder)
+    workbench = new_bench()
+    workbench.reopen(folder)
     folder.rename(folder.with_name("elsewhere"))
     for weight in (1.0, 2.0):
-        bench.try_(weight)
-        bench.keeper._write()
-    bench.keeper._thread.submit(int).result()
-    qtbot.waitUntil(lambda: bool(bench.said), timeout=5000)
+        workbench.try_(weight)
+        workbench.keeper._write()
+    workbench.keeper._thread.submit(int).result()
+    qtbot.waitUntil(lambda: bool(workbench.said), timeout=5000)
     qtbot.wait(50)
-    assert [("the folder is gone" in text) for text in bench.said] == [True]
+    assert [("the folder is gone" in text) for text in workbench.said] == [True]
 
 
 @pytest.mark.parametrize("at_once", [False, True])
 def test_the_workbench_keeps_them_also_if_it_is_closed_while_it_saves(
     at_once: bool,
-    bench: tuple[Any, Any, Any],
+    workbench: tuple[Any, Any, Any],
     tiny_inspection: Inspection,
     qtbot: QtBot,
     tmp_path: Path,
 ) -> None:
-    viewer, dock, _ = bench
-    model, tuning = dock.bench.model, dock.bench.tuning
+    viewer, dock, _ = workbench
+    model, tuning = dock.workbench.model, dock.workbench.tuning
     model.inspection = tiny_inspection
     model.inspection_changed.emit(tiny_inspection)
     tuning.settle()
@@ -196,6 +196,6 @@ def test_the_workbench_keeps_them_also_if_it_is_closed_while_it_saves(
     tuning.pictured(CellPicture(image, (0, 0), "", model.settings))
     dock.save(tmp_path / "out")
     if not at_once:
-        qtbot.waitUntil(lambda: dock.bench.trials.folder is not None, timeout=20_000)
+        qtbot.waitUntil(lambda: dock.workbench.trials.folder is not None, timeout=20_000)
     viewer.close()
     assert len(read_trials(tmp_path / "out")) == 1

@@ -15,16 +15,16 @@ FRAME, CROSSING = 2, 6
 
 
 @pytest.fixture
-def detected(bench: Any, replayed: Any) -> tuple[Any, Any, Any, int]:
+def detected(workbench: Any, replayed: Any) -> tuple[Any, Any, Any, int]:
     """Viewer, dock, points layer and the row of a crossing that is held by the hand."""
-    viewer, dock, _ = bench
-    dock.bench.live_cell.settle()
-    dock.bench.history.clear()
-    dock.bench.model.inspection = replayed.inspection
-    dock.bench.model.inspection_changed.emit(replayed.inspection)
+    viewer, dock, _ = workbench
+    dock.workbench.live_cell.settle()
+    dock.workbench.history.clear()
+    dock.workbench.model.inspection = replayed.inspection
+    dock.workbench.model.inspection_changed.emit(replayed.inspection)
     viewer.dims.set_current_step(0, FRAME)
     dock.points.select.click()
-    marks = dock.bench.points._marks
+    marks = dock.workbench.points._marks
     row = int(np.flatnonzero((marks.frame == FRAME) & (marks.crossing == CROSSING))[0])
     layer = viewer.layers["Crossing points"]
     layer.selected_data = {row}
@@ -59,8 +59,8 @@ def test_the_grid_and_the_residual_follow_a_point_before_it_is_let_go(
     np.testing.assert_array_equal(lines(viewer, 3), other)
     assert dock.points.state.text() != state
     assert "dragged" in dock.lens.residual.text()
-    assert not dock.bench.editor.edits
-    assert dock.bench.history.undo_text is None
+    assert not dock.workbench.editor.edits
+    assert dock.workbench.history.undo_text is None
 
 
 def test_the_grid_under_the_hand_is_the_one_that_the_edit_has(detected: Any, qtbot: QtBot) -> None:
@@ -70,10 +70,10 @@ def test_the_grid_under_the_hand_is_the_one_that_the_edit_has(detected: Any, qtb
     qtbot.waitUntil(lambda: not np.array_equal(lines(viewer), before), timeout=2000)
     held = lines(viewer)
     release(layer, row)
-    assert dock.bench.editor.provisional
+    assert dock.workbench.editor.provisional
     qtbot.waitUntil(lambda: "dragged" not in dock.lens.residual.text(), timeout=2000)
     np.testing.assert_allclose(lines(viewer), held, atol=1e-3)
-    qtbot.waitUntil(lambda: not dock.bench.recalibration.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.recalibration.busy, timeout=20_000)
 
 
 def test_one_drag_is_one_undo(detected: Any, qtbot: QtBot) -> None:
@@ -83,12 +83,12 @@ def test_one_drag_is_one_undo(detected: Any, qtbot: QtBot) -> None:
         drag_on(layer, row, (0.3, 0.2))
         qtbot.wait(20)
     release(layer, row)
-    assert dock.bench.history.undo_text == "Move a crossing point"
-    dock.bench.history.undo()
-    assert dock.bench.history.undo_text is None
+    assert dock.workbench.history.undo_text == "Move a crossing point"
+    dock.workbench.history.undo()
+    assert dock.workbench.history.undo_text is None
     np.testing.assert_array_equal(layer.data, points)
     qtbot.waitUntil(lambda: np.allclose(lines(viewer), before), timeout=2000)
-    qtbot.waitUntil(lambda: not dock.bench.recalibration.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.recalibration.busy, timeout=20_000)
 
 
 def test_a_drag_that_is_taken_back_leaves_the_fitted_grid(detected: Any, qtbot: QtBot) -> None:
@@ -98,7 +98,7 @@ def test_a_drag_that_is_taken_back_leaves_the_fitted_grid(detected: Any, qtbot: 
     qtbot.waitUntil(lambda: not np.array_equal(lines(viewer), before), timeout=2000)
     viewer.dims.set_current_step(0, 3)
     qtbot.waitUntil(lambda: np.array_equal(lines(viewer), before), timeout=2000)
-    assert not dock.bench.editor.edits
+    assert not dock.workbench.editor.edits
     assert "dragged" not in dock.lens.residual.text()
 
 
@@ -106,52 +106,52 @@ def test_closing_the_window_with_a_point_in_the_hand_works(detected: Any, qtbot:
     _, dock, layer, row = detected
     drag_on(layer, row, (2.0, 2.0))
     drag_on(layer, row, (1.0, 0.0))
-    dock.bench.close()
+    dock.workbench.close()
     qtbot.wait(60)
 
 
-def test_undo_takes_back_a_slider_that_has_not_settled_and_nothing_else(bench: Any) -> None:
-    _, dock, _ = bench
-    weight, model = dock.image.prior_weight, dock.bench.model
+def test_undo_takes_back_a_slider_that_has_not_settled_and_nothing_else(workbench: Any) -> None:
+    _, dock, _ = workbench
+    weight, model = dock.image.prior_weight, dock.workbench.model
     dock.frames.table.tick_wanted.emit(1, False)
     weight.slider.setValue(300)
     assert model.settings.prior_weight is not None
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     assert model.settings.prior_weight is None
     assert model.settings.skip_frames == (model.sequence.names[1],)
-    dock.bench.history.redo()
+    dock.workbench.history.redo()
     assert model.settings.prior_weight == pytest.approx(weight.value, rel=0.01)
 
 
-def test_redo_does_not_bring_back_what_a_slider_has_overtaken(bench: Any) -> None:
-    _, dock, _ = bench
-    model = dock.bench.model
+def test_redo_does_not_bring_back_what_a_slider_has_overtaken(workbench: Any) -> None:
+    _, dock, _ = workbench
+    model = dock.workbench.model
     dock.image.prior_weight.slider.setValue(300)
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     dock.image.magnification.slider.setValue(300)
-    dock.bench.history.redo()
+    dock.workbench.history.redo()
     assert model.settings.prior_weight is None
-    assert dock.bench.history.undo_text == "Change magnification"
+    assert dock.workbench.history.undo_text == "Change magnification"
 
 
-def test_kappa_can_be_taken_back(bench: Any) -> None:
-    _, dock, _ = bench
-    model = dock.bench.model
-    dock.bench.history.settle()
+def test_kappa_can_be_taken_back(workbench: Any) -> None:
+    _, dock, _ = workbench
+    model = dock.workbench.model
+    dock.workbench.history.settle()
     dock.lens.kappa.slider.setValue(100)
-    dock.bench.history.settle()
+    dock.workbench.history.settle()
     dock.lens.kappa.slider.setValue(200)
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     assert model.settings.kappa == pytest.approx(-0.3, abs=1e-3)
-    dock.bench.history.undo()
+    dock.workbench.history.undo()
     assert model.settings.kappa is None
 
 
 def test_a_run_takes_over_a_slider_and_a_number_that_is_being_typed(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
-    dock.bench.history.settle()
+    _, dock, _ = workbench
+    dock.workbench.history.settle()
     dock.image.magnification.slider.setValue(200)
     number = dock.image.prior_weight.number
     dock.show_page("Image")
@@ -159,19 +159,19 @@ def test_a_run_takes_over_a_slider_and_a_number_that_is_being_typed(
     number.setFocus()
     number.selectAll()
     qtbot.keyClicks(number, "0.25")
-    assert dock.bench.model.settings.prior_weight is None
+    assert dock.workbench.model.settings.prior_weight is None
     # The focus need not move on every platform.
     if QApplication.focusWidget() is not number:
         number.interpretText()
     dock.run.run.click()
-    assert dock.bench.model.run_settings.prior_weight == pytest.approx(0.25)
-    assert "magnification" in dock.bench.history.undo_text
-    qtbot.waitUntil(lambda: dock.bench.model.inspection is not None, timeout=20_000)
+    assert dock.workbench.model.run_settings.prior_weight == pytest.approx(0.25)
+    assert "magnification" in dock.workbench.history.undo_text
+    qtbot.waitUntil(lambda: dock.workbench.model.inspection is not None, timeout=20_000)
 
 
-def test_the_wheel_changes_nothing_without_the_focus(bench: Any, qtbot: QtBot) -> None:
-    _, dock, _ = bench
-    before = dock.bench.model.settings
+def test_the_wheel_changes_nothing_without_the_focus(workbench: Any, qtbot: QtBot) -> None:
+    _, dock, _ = workbench
+    before = dock.workbench.model.settings
     for field in (
         dock.lens.kappa.slider,
         dock.image.magnification.number,
@@ -180,12 +180,12 @@ def test_the_wheel_changes_nothing_without_the_focus(bench: Any, qtbot: QtBot) -
     ):
         assert not field.hasFocus()
         turn_wheel(field)
-    assert dock.bench.model.settings == before
+    assert dock.workbench.model.settings == before
     dock.show_page("Image")
     slider = dock.image.magnification.slider
     slider.hasFocus = lambda: True
     turn_wheel(slider)
-    assert dock.bench.model.settings != before
+    assert dock.workbench.model.settings != before
 
 
 def turn_wheel(field: Any) -> None:

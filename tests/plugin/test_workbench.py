@@ -20,7 +20,7 @@ from pv_inspect.sequence.sequence import FrameSequence
 
 
 def finish(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: dock.bench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
 
 
 def run(dock: Any, qtbot: QtBot) -> None:
@@ -28,8 +28,8 @@ def run(dock: Any, qtbot: QtBot) -> None:
     finish(dock, qtbot)
 
 
-def test_opening_shows_the_frames_and_prefills_the_layout(bench: Any) -> None:
-    viewer, dock, _ = bench
+def test_opening_shows_the_frames_and_prefills_the_layout(workbench: Any) -> None:
+    viewer, dock, _ = workbench
     assert [layer.name for layer in viewer.layers] == ["Frames"]
     assert viewer.dims.nsteps[0] == 5
     assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
@@ -38,10 +38,10 @@ def test_opening_shows_the_frames_and_prefills_the_layout(bench: Any) -> None:
 
 
 def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
-    bench: Any, tiny_sequence: FrameSequence, qtbot: QtBot
+    workbench: Any, tiny_sequence: FrameSequence, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
-    dock.bench.model.open(replace(tiny_sequence, layout_hint={}))
+    _, dock, _ = workbench
+    dock.workbench.model.open(replace(tiny_sequence, layout_hint={}))
     assert dock.module.rows.value() == 0
     qtbot.waitUntil(lambda: dock.module.rows.value() > 0, timeout=20_000)
     assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
@@ -51,9 +51,9 @@ def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
 
 
 def test_detect_draws_points_and_grid_that_follow_the_time_slider(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     qtbot.mouseClick(dock.module.detect, Qt.MouseButton.LeftButton)
     finish(dock, qtbot)
     points, grid = viewer.layers["Crossing points"], viewer.layers["Fitted grid"]
@@ -71,9 +71,9 @@ def test_detect_draws_points_and_grid_that_follow_the_time_slider(
 
 
 def test_a_run_shows_module_image_support_cracks_and_cells(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, cells = bench
+    viewer, dock, cells = workbench
     run(dock, qtbot)
     image = viewer.layers["Module image"]
     np.testing.assert_array_equal(image.data, replayed.inspection.reconstruction.image)
@@ -87,8 +87,8 @@ def test_a_run_shows_module_image_support_cracks_and_cells(
     assert image.translate[-1] > 240
 
 
-def test_intermediate_images_are_shown(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    viewer, dock, _ = bench
+def test_intermediate_images_are_shown(workbench: Any, replayed: Any, qtbot: QtBot) -> None:
+    viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
     qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
@@ -102,10 +102,12 @@ def test_intermediate_images_are_shown(bench: Any, replayed: Any, qtbot: QtBot) 
     assert viewer.layers["Module image"] is preview
 
 
-def test_cancel_brings_the_last_whole_result_back(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    viewer, dock, cells = bench
+def test_cancel_brings_the_last_whole_result_back(
+    workbench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    viewer, dock, cells = workbench
     run(dock, qtbot)
-    whole = dock.bench.model.inspection
+    whole = dock.workbench.model.inspection
     replayed.go_on = False
     dock.image.prior_weight.number.setValue(0.5)
     assert "reconstruct" in dock.run.message.text()
@@ -115,16 +117,16 @@ def test_cancel_brings_the_last_whole_result_back(bench: Any, replayed: Any, qtb
     )
     dock.run.cancel.click()
     finish(dock, qtbot)
-    assert dock.bench.model.inspection is whole
+    assert dock.workbench.model.inspection is whole
     assert viewer.layers["Module image"].data is whole.reconstruction.image
     assert "Cracks" in viewer.layers
     assert cells.cells.rowCount() == 12
 
 
 def test_kappa_bends_the_shown_grid_and_fit_brings_it_back(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     dock.module.detect.click()
     finish(dock, qtbot)
     viewer.dims.set_current_step(0, 2)
@@ -137,13 +139,13 @@ def test_kappa_bends_the_shown_grid_and_fit_brings_it_back(
     assert "px" in dock.lens.residual.text()
     dock.lens.fit.click()
     qtbot.waitUntil(lambda: np.array_equal(grid.data, before), timeout=5000)
-    assert dock.bench.model.settings.kappa is None
+    assert dock.workbench.model.settings.kappa is None
 
 
 def test_the_bent_grid_moves_on_with_the_time_slider(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, _ = bench
+    viewer, dock, _ = workbench
     dock.module.detect.click()
     finish(dock, qtbot)
     grid = viewer.layers["Fitted grid"]
@@ -164,9 +166,9 @@ def test_the_bent_grid_moves_on_with_the_time_slider(
     "name", ["Frames", "Crossing points", "Fitted grid", "Module image", "Support", "Cracks"]
 )
 def test_any_layer_may_be_deleted_and_another_run_works(
-    bench: Any, replayed: Any, qtbot: QtBot, name: str
+    workbench: Any, replayed: Any, qtbot: QtBot, name: str
 ) -> None:
-    viewer, dock, cells = bench
+    viewer, dock, cells = workbench
     run(dock, qtbot)
     viewer.layers.remove(name)
     dock.lens.kappa.slider.setValue(100)
@@ -177,8 +179,10 @@ def test_any_layer_may_be_deleted_and_another_run_works(
         assert "Module image" in viewer.layers
 
 
-def test_all_layers_may_be_deleted_during_a_run(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    viewer, dock, _ = bench
+def test_all_layers_may_be_deleted_during_a_run(
+    workbench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
     qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
@@ -188,8 +192,10 @@ def test_all_layers_may_be_deleted_during_a_run(bench: Any, replayed: Any, qtbot
     assert isinstance(viewer.layers["Module image"], Image)
 
 
-def test_a_click_on_a_cell_moves_the_camera_to_it(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    viewer, dock, cells = bench
+def test_a_click_on_a_cell_moves_the_camera_to_it(
+    workbench: Any, replayed: Any, qtbot: QtBot
+) -> None:
+    viewer, dock, cells = workbench
     run(dock, qtbot)
     index = cells.cells.index(5)
     assert cells.cells.cell(index) == (1, 1)
@@ -202,8 +208,8 @@ def test_a_click_on_a_cell_moves_the_camera_to_it(bench: Any, replayed: Any, qtb
     assert "Row 2, column 2" in cells.caption.text()
 
 
-def test_cells_can_be_sorted_by_crack_score(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    _, dock, cells = bench
+def test_cells_can_be_sorted_by_crack_score(workbench: Any, replayed: Any, qtbot: QtBot) -> None:
+    _, dock, cells = workbench
     run(dock, qtbot)
     cells.order.setCurrentText(BY_CRACKS)
     scores = {(f.row, f.col): f.crack_score for f in replayed.inspection.cracks.cells}
@@ -211,21 +217,21 @@ def test_cells_can_be_sorted_by_crack_score(bench: Any, replayed: Any, qtbot: Qt
     assert shown == sorted(shown, reverse=True)
 
 
-def test_closing_mid_run_stops_the_run(bench: Any, replayed: Any, qtbot: QtBot) -> None:
-    viewer, dock, _ = bench
+def test_closing_mid_run_stops_the_run(workbench: Any, replayed: Any, qtbot: QtBot) -> None:
+    viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: dock.bench.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.draft.registration is not None, timeout=10_000)
     viewer.close()
     assert replayed.closed == 1
     qtbot.wait(100)
 
 
 def test_the_dock_may_be_closed_mid_run_and_opened_again(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer, dock, _ = bench
-    model = dock.bench.model
+    viewer, dock, _ = workbench
+    model = dock.workbench.model
     replayed.go_on = False
     dock.run.run.click()
     qtbot.waitUntil(lambda: model.draft.registration is not None, timeout=10_000)
@@ -242,45 +248,45 @@ def test_the_dock_may_be_closed_mid_run_and_opened_again(
     assert "5 frames" in again.headline.text()
 
 
-def test_a_layer_of_the_reader_is_adopted(bench: Any, tiny_folder: Path, qtbot: QtBot) -> None:
-    viewer, dock, _ = bench
+def test_a_layer_of_the_reader_is_adopted(workbench: Any, tiny_folder: Path, qtbot: QtBot) -> None:
+    viewer, dock, _ = workbench
     other = FrameSequence.open(tiny_folder)
     data, attributes, _ = sequence_layer(other)
     layer = viewer.add_image(data, **attributes)
-    assert dock.bench.model.sequence is other
+    assert dock.workbench.model.sequence is other
     assert layer.visible
     assert list(viewer.layers) == [layer], "the earlier sequence is gone"
     assert layer.name == "Frames"
 
 
 def test_save_writes_the_result_folder(
-    bench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path
+    workbench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     run(dock, qtbot)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: not dock.bench.saver.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not dock.workbench.saver.busy, timeout=10_000)
     assert (tmp_path / "out" / "result.json").is_file()
 
 
 def test_what_can_not_be_opened_or_saved_is_one_sentence_in_the_dock(
-    bench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, replayed: Any, qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, dock, _ = bench
+    _, dock, _ = workbench
     popups: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
-    dock.bench.open(tmp_path / "nowhere")
-    qtbot.waitUntil(lambda: not dock.bench.opener.busy, timeout=5000)
+    dock.workbench.open(tmp_path / "nowhere")
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=5000)
     assert "nowhere" in dock.run.message.text()
     run(dock, qtbot)
     (tmp_path / "file").write_text("x")
     dock.save(tmp_path / "file" / "out")
-    qtbot.waitUntil(lambda: not dock.bench.saver.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not dock.workbench.saver.busy, timeout=10_000)
     assert len(popups) == 2
     assert "\n" not in dock.run.message.text()
 
 
-def test_every_control_has_a_tooltip(bench: Any) -> None:
+def test_every_control_has_a_tooltip(workbench: Any) -> None:
     from qtpy.QtWidgets import (
         QAbstractSlider,
         QAbstractSpinBox,
@@ -289,7 +295,7 @@ def test_every_control_has_a_tooltip(bench: Any) -> None:
         QScrollBar,
     )
 
-    _, dock, cells = bench
+    _, dock, cells = workbench
     for kind in (QPushButton, QAbstractSpinBox, QComboBox, QAbstractSlider):
         for control in (*dock.findChildren(kind), cells.order):
             if isinstance(control, QScrollBar):
@@ -298,9 +304,9 @@ def test_every_control_has_a_tooltip(bench: Any) -> None:
             assert told, f"{control} has no tooltip"
 
 
-def test_one_workbench_per_viewer(bench: Any, tiny_inspection: Inspection) -> None:
-    viewer, dock, _ = bench
-    assert Workbench.of(viewer) is dock.bench
+def test_one_workbench_per_viewer(workbench: Any, tiny_inspection: Inspection) -> None:
+    viewer, dock, _ = workbench
+    assert Workbench.of(viewer) is dock.workbench
 
 
 def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
@@ -309,17 +315,17 @@ def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
     viewer = make_napari_viewer()
     dock = InspectDock(viewer)
     viewer.window.add_dock_widget(dock)
-    dock.bench.model.open(tiny_sequence)
-    assert not dock.bench.has_gallery
+    dock.workbench.model.open(tiny_sequence)
+    assert not dock.workbench.has_gallery
     run(dock, qtbot)
     assert "Cells" in viewer.window.dock_widgets
 
 
 def test_lambda_is_automatic_until_the_user_moves_it_and_can_be_again(
-    bench: Any, replayed: Any, qtbot: QtBot
+    workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
-    _, dock, _ = bench
-    model = dock.bench.model
+    _, dock, _ = workbench
+    model = dock.workbench.model
     assert dock.image.automatic.isChecked()
     dock.image.prior_weight.number.setValue(2.0)
     assert not dock.image.automatic.isChecked()

@@ -57,8 +57,8 @@ class CellDock(QWidget):
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
-        self._bench = Workbench.of(napari_viewer)
-        self._style = ThemedStyle(self, self._bench.viewer)
+        self._workbench = Workbench.of(napari_viewer)
+        self._style = ThemedStyle(self, self._workbench.viewer)
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
         self._found: tuple[object, Outlines] = (None, [])
@@ -111,16 +111,16 @@ class CellDock(QWidget):
         listen(self._review.marks_changed, self._on_marks)
         listen(self._review.verdicts_changed, self._caption)
         listen(self._review.threshold_changed, self._on_threshold)
-        listen(self._bench.model.cell_selected, self._on_cell)
+        listen(self._workbench.model.cell_selected, self._on_cell)
         self._on_subject(self._review.subject)
 
     @property
     def _review(self) -> ReviewModel:
-        return self._bench.review.state
+        return self._workbench.review.state
 
     @property
     def _cell(self) -> Cell | None:
-        cell, subject = self._bench.model.selected_cell, self._review.subject
+        cell, subject = self._workbench.model.selected_cell, self._review.subject
         return cell if subject is not None and cell in subject.places else None
 
     @property
@@ -128,10 +128,10 @@ class CellDock(QWidget):
         return "No cell is selected." if self._review.subject else self._review.why_empty
 
     def _bind_keys(self) -> None:
-        bind_review_keys(self._bench, self, "Cell view")
-        if (shortcuts := self._bench.shortcuts) is None:
+        bind_review_keys(self._workbench, self, "Cell view")
+        if (shortcuts := self._workbench.shortcuts) is None:
             return
-        review = self._bench.review
+        review = self._workbench.review
         for sequence, text, slot in (
             ("Left", "Previous cell in the order of the gallery", partial(review.step, -1)),
             ("Right", "Next cell in the order of the gallery", partial(review.step, 1)),
@@ -153,7 +153,7 @@ class CellDock(QWidget):
 
     def _back(self) -> None:
         self.back_wanted.emit()
-        focus_gallery(self._bench)
+        focus_gallery(self._workbench)
 
     def _toggle_drawing(self) -> None:
         self.bar.toggle_drawing()
@@ -253,7 +253,7 @@ class CellDock(QWidget):
         self.caption.setText("  |  ".join(text.splitlines()))
         self.caption.setToolTip(text)
 
-    # The best frame: read and rectified beside the window; only the newest wish counts.
+    # The best frame: read and rectified in the background; only the newest wish counts.
 
     def _ask_for_frame(self) -> None:
         subject, cell = self._review.subject, self._cell
@@ -332,9 +332,9 @@ def _support_colours(support: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(coloured, cv2.COLOR_BGR2RGB)
 
 
-def focus_gallery(bench: Workbench) -> None:
+def focus_gallery(workbench: Workbench) -> None:
     """Bring the gallery to the front with the keyboard, unless it is closed."""
-    gallery = bench.viewer.window.dock_widgets.get(GALLERY)
+    gallery = workbench.viewer.window.dock_widgets.get(GALLERY)
     dock = dock_of(gallery)
     if gallery is not None and dock is not None and not dock.isHidden():
         dock.raise_()

@@ -67,9 +67,9 @@ class CellsDock(QWidget):
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
-        self._bench = Workbench.of(napari_viewer)
-        self._bench.has_gallery = True
-        self._style = ThemedStyle(self, self._bench.viewer)
+        self._workbench = Workbench.of(napari_viewer)
+        self._workbench.has_gallery = True
+        self._style = ThemedStyle(self, self._workbench.viewer)
         self.cells = CellList(self._review)
         self._delegate = TileDelegate(self._review, self.cells)
         self._sizing = QTimer(self)
@@ -133,13 +133,13 @@ class CellsDock(QWidget):
         self.view.walked.connect(self._on_walk)
         self.view.resized.connect(self._sizing.start)
         self.view.doubleClicked.connect(self.open_cell)
-        bind_review_keys(self._bench, self, "Gallery")
-        if self._bench.shortcuts is not None:
+        bind_review_keys(self._workbench, self, "Gallery")
+        if self._workbench.shortcuts is not None:
             key = Key("Return", "Open the selected cell large", "Gallery")
-            self._bench.shortcuts.add(key, self.open_cell, within=self)
+            self._workbench.shortcuts.add(key, self.open_cell, within=self)
             key = Key("Esc", "Back to the module", "Gallery")
-            self._bench.shortcuts.add(key, self._to_module, within=self)
-        if (place := large_cell(self._bench)) is not None:
+            self._workbench.shortcuts.add(key, self._to_module, within=self)
+        if (place := large_cell(self._workbench)) is not None:
             place.toggled.connect(self._on_large)
         listen(self._review.subject_changed, self._on_subject)
         listen(self._review.listing_changed, self._relist)
@@ -151,17 +151,17 @@ class CellsDock(QWidget):
 
     @property
     def _model(self) -> WorkbenchModel:
-        return self._bench.model
+        return self._workbench.model
 
     @property
     def _review(self) -> ReviewModel:
-        return self._bench.review.state
+        return self._workbench.review.state
 
     def open_cell(self, _: object = None) -> None:
         """Show the selected cell large, without the gallery."""
         if self._model.selected_cell is None:
-            self._bench.review.step(0)
-        open_cell(self._bench)
+            self._workbench.review.step(0)
+        open_cell(self._workbench)
 
     def sizeHint(self) -> QSize:  # noqa: N802 (Qt's name)
         """Two rows on a small screen; most of it belongs to the pictures above."""
@@ -232,19 +232,19 @@ class CellsDock(QWidget):
     def _on_click(self, index: QModelIndex) -> None:
         # The camera comes back also to the cell that is selected already.
         self._on_current(index)
-        self._bench.navigator.to_cell(*self.cells.cell(index))
+        self._workbench.navigator.to_cell(*self.cells.cell(index))
         self._on_walk()
 
     def _on_walk(self) -> None:
         if self.large.isChecked():
-            open_cell(self._bench, alone=False)
+            open_cell(self._workbench, alone=False)
 
     def _on_large(self, is_open: bool) -> None:
         # The facts stand under the large cell then.
         self.caption.setVisible(not is_open)
 
     def _to_module(self) -> None:
-        if (place := large_cell(self._bench)) is not None:
+        if (place := large_cell(self._workbench)) is not None:
             place.back()
         self.view.setFocus()
 
@@ -264,7 +264,7 @@ class CellsDock(QWidget):
     def _on_selected(self, cell: Cell | None) -> None:
         self._mark(cell)
         if cell is not None:
-            self._bench.navigator.to_cell(*cell)
+            self._workbench.navigator.to_cell(*cell)
 
     def _mark(self, cell: Cell | None) -> None:
         """Mark the selected cell; the camera stays where the user looks."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from napari.components import ViewerModel
 from qtpy.QtCore import Qt, QTimer
 from qtpy.QtWidgets import (
-    QDockWidget,
     QFileDialog,
     QFrame,
     QGridLayout,
@@ -34,8 +33,9 @@ from napari_pv_inspect.docks.pages.review import ReviewBox
 from napari_pv_inspect.docks.pages.run import RunBox
 from napari_pv_inspect.docks.pages.workflow import StepsBox
 from napari_pv_inspect.docks.placing import show_live_cell
-from napari_pv_inspect.models.workflow import REVIEW, Deed
+from napari_pv_inspect.models.workflow import REVIEW, StepAction
 from napari_pv_inspect.sample import sample_folder
+from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import ThemedStyle, WheelNeedsFocus, finish_typing
@@ -64,7 +64,7 @@ class InspectDock(QWidget):
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
-        self.bench = bench = Workbench.of(napari_viewer)
+        self.workbench = workbench = Workbench.of(napari_viewer)
         self.open_folder = QPushButton("Open...")
         self.open_folder.setToolTip(
             "Open a folder: 8 or 16 bit TIFF or PNG frames of one module, or a result."
@@ -73,17 +73,17 @@ class InspectDock(QWidget):
         self.open_sample.setToolTip("Open the sample module.")
         self.name, self.headline = ElidedLabel(), QLabel()
         self.name.setStyleSheet("font-weight: bold")
-        self.run = RunBox(bench.model)
-        self.steps = StepsBox(bench.model, self.run.run)
-        self.frames = FramesBox(bench)
-        self.references = ReferenceBox(bench.model)
-        self.module = ModuleBox(bench.model)
-        self.points = PointsBox(bench)
-        self.lens = LensBox(bench.model, bench.live, bench.kappa_curve)
-        self.image = ImageBox(bench.model, bench.live_cell)
-        self.verdict = ReviewBox(bench.model, bench.review, bench.history)
-        self.export = ExportBox(bench.model, bench.review.state)
-        self.result = ResultBox(bench.model, bench.navigator)
+        self.run = RunBox(workbench.model)
+        self.steps = StepsBox(workbench.model, self.run.run)
+        self.frames = FramesBox(workbench)
+        self.references = ReferenceBox(workbench.model)
+        self.module = ModuleBox(workbench.model)
+        self.points = PointsBox(workbench)
+        self.lens = LensBox(workbench.model, workbench.live, workbench.kappa_curve)
+        self.image = ImageBox(workbench.model, workbench.live_cell)
+        self.verdict = ReviewBox(workbench.model, workbench.review, workbench.history)
+        self.export = ExportBox(workbench.model, workbench.review.state)
+        self.result = ResultBox(workbench.model, workbench.navigator)
         self.setMinimumWidth(WIDTH)
         sources = QGridLayout()
         sources.setVerticalSpacing(0)
@@ -114,7 +114,7 @@ class InspectDock(QWidget):
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.result)
-        self._style = ThemedStyle(self, bench.viewer)
+        self._style = ThemedStyle(self, workbench.viewer)
         self._calm = WheelNeedsFocus(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_sample.clicked.connect(self._on_open_sample)
@@ -123,15 +123,15 @@ class InspectDock(QWidget):
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
-        listen(bench.review.state.folder_wanted, self._on_folder_wanted)
-        self.steps.wanted.connect(self._on_deed)
+        listen(workbench.review.state.folder_wanted, self._on_folder_wanted)
+        self.steps.wanted.connect(self._on_action)
         self.steps.step_clicked.connect(self._on_step)
         self.pages.currentChanged.connect(self._on_page)
-        listen(bench.session.page_restored, self.show_page)
-        listen(bench.model.result_opened, self._on_result)
-        listen(bench.model.sequence_changed, self._on_sequence)
-        listen(bench.model.inspection_changed, self._on_inspection)
-        self._on_sequence(bench.model.sequence)
+        listen(workbench.session.page_restored, self.show_page)
+        listen(workbench.model.result_opened, self._on_result)
+        listen(workbench.model.sequence_changed, self._on_sequence)
+        listen(workbench.model.inspection_changed, self._on_inspection)
+        self._on_sequence(workbench.model.sequence)
 
     def add_page(self, title: str, tip: str, *boxes: QWidget) -> None:
         """Add a page of boxes, one below the other; it scrolls where the screen is small."""
@@ -161,9 +161,9 @@ class InspectDock(QWidget):
                 self.pages.setCurrentIndex(k)
 
     def save(self, folder: Path) -> None:
-        """Write the result folder beside the window; what is wrong becomes a notice."""
-        if self.bench.model.inspection is not None:
-            self.bench.saver.save(self.bench.model.inspection, folder)
+        """Write the result folder in the background; what is wrong becomes a notice."""
+        if self.workbench.model.inspection is not None:
+            self.workbench.saver.save(self.workbench.model.inspection, folder)
 
     def _on_sequence(self, sequence: FrameSequence | None) -> None:
         if sequence is None:
@@ -185,18 +185,18 @@ class InspectDock(QWidget):
         for label in (self.name, self.headline):
             label.setToolTip(tip)
 
-    def _on_deed(self, deed: Deed) -> None:
+    def _on_action(self, action: StepAction) -> None:
         """Do the next step; a run, and its end, have buttons of their own."""
-        if deed is Deed.OPEN:
+        if action is StepAction.OPEN:
             self._on_open_folder()
-        elif deed is Deed.CONFIRM:
-            self.bench.model.confirm_layout()
-        elif deed is Deed.DETECT:
+        elif action is StepAction.CONFIRM:
+            self.workbench.model.confirm_layout()
+        elif action is StepAction.DETECT:
             self._on_detect()
-        elif deed is Deed.GIVE_LAYOUT:
+        elif action is StepAction.GIVE_LAYOUT:
             self.show_page("Grid")
             self.module.rows.setFocus()
-        elif deed is Deed.REVIEW:
+        elif action is StepAction.REVIEW:
             self._review()
 
     def _on_step(self, name: str) -> None:
@@ -206,57 +206,55 @@ class InspectDock(QWidget):
             self.show_page(PAGE_OF_STEP[name])
 
     def _on_page(self, page: int) -> None:
-        self.bench.session.turn_to(self.pages.tabText(page))
+        self.workbench.session.turn_to(self.pages.tabText(page))
 
     def _review(self) -> None:
         """Show the gallery, with a cell to begin with."""
-        model, review = self.bench.model, self.bench.review.state
+        model, review = self.workbench.model, self.workbench.review.state
         if review.subject is None:
             model.notice(review.why_empty)
             return
-        widget: QWidget | None = self.bench.viewer.window.dock_widgets.get("Cells")
-        while widget is not None and not isinstance(widget, QDockWidget):
-            widget = widget.parentWidget()
-        if widget is not None:
-            widget.show()
-            widget.raise_()
+        dock = dock_of(self.workbench.viewer.window.dock_widgets.get("Cells"))
+        if dock is not None:
+            dock.show()
+            dock.raise_()
         self.show_page("Review")
         if model.selected_cell is None:
             model.select_cell((0, 0))
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
-        if self.bench.has_gallery or inspection is None or inspection.tiles is None:
+        if self.workbench.has_gallery or inspection is None or inspection.tiles is None:
             return
-        gallery = CellsDock(self.bench.viewer)
-        self.bench.viewer.window.add_dock_widget(gallery, name="Cells", area="bottom")
-        self.bench.fit_view()
+        gallery = CellsDock(self.workbench.viewer)
+        self.workbench.viewer.window.add_dock_widget(gallery, name="Cells", area="bottom")
+        self.workbench.fit_view()
 
     def _on_open_folder(self) -> None:
         folder = QFileDialog.getExistingDirectory(self, "Folder of frames")
         if folder:
-            self.bench.open(folder)
+            self.workbench.open(folder)
 
     def _on_open_sample(self) -> None:
-        self.bench.open(sample_folder())
+        self.workbench.open(sample_folder())
 
     def _settle(self) -> None:
-        """Take over what is still in the hand, before a run reads the settings."""
+        """Finish edits that are under way, before a run reads the settings."""
         finish_typing()
-        self.bench.history.settle()
+        self.workbench.history.settle()
 
     def _on_detect(self) -> None:
         self._settle()
-        self.bench.runs.start(until=Stage.CALIBRATE)
+        self.workbench.runs.start(until=Stage.CALIBRATE)
 
     def _on_live(self) -> None:
-        show_live_cell(self.bench, self)
+        show_live_cell(self.workbench, self)
 
     def _on_run(self) -> None:
         self._settle()
-        self.bench.runs.start()
+        self.workbench.runs.start()
 
     def _on_cancel(self) -> None:
-        self.bench.runs.cancel()
+        self.workbench.runs.cancel()
 
     def _on_folder_wanted(self, _: str) -> None:
         # Not within the key press that asked for it.

@@ -40,16 +40,16 @@ class LargeCell(QWidget):
 
     toggled = Signal(bool)
 
-    def __init__(self, bench: Workbench, window: QMainWindow) -> None:
+    def __init__(self, workbench: Workbench, window: QMainWindow) -> None:
         super().__init__()
-        self._bench = bench
+        self._workbench = workbench
         self._folded: list[tuple[QDockWidget, int, int]] = []
         self._then: Callable[[], None] | None = None
         self._settle = QTimer(self)
         self._settle.setSingleShot(True)
         self._settle.timeout.connect(self._on_settled)
         self.is_open = False
-        self.view = CellDock(bench.viewer)
+        self.view = CellDock(workbench.viewer)
         for button in (self.view.bar.back, self.view.bar.gallery):
             button.show()
         layout = QVBoxLayout(self)
@@ -59,11 +59,11 @@ class LargeCell(QWidget):
         central_layout(window).addWidget(self)
         self.view.back_wanted.connect(self.back)
         self.view.gallery_wanted.connect(self.toggle_gallery)
-        listen(bench.review.state.subject_changed, self._on_subject)
-        listen(bench.model.run_changed, self._on_run)
-        listen(bench.navigator.canvas_wanted, self._on_canvas_wanted)
-        listen(bench.session.page_turned, self._on_page)
-        listen(bench.closing, self._on_closing)
+        listen(workbench.review.state.subject_changed, self._on_subject)
+        listen(workbench.model.run_changed, self._on_run)
+        listen(workbench.navigator.canvas_wanted, self._on_canvas_wanted)
+        listen(workbench.session.page_turned, self._on_page)
+        listen(workbench.closing, self._on_closing)
 
     def open(self, alone: bool) -> None:
         """Show the selected cell; ``alone``: with the gallery folded, and the keyboard."""
@@ -84,8 +84,8 @@ class LargeCell(QWidget):
 
     def back(self) -> None:
         """Show the canvas again, with the cell in its middle."""
-        if self.is_open and (cell := self._bench.model.selected_cell) is not None:
-            self._then = partial(self._bench.navigator.to_cell, *cell)
+        if self.is_open and (cell := self._workbench.model.selected_cell) is not None:
+            self._then = partial(self._workbench.navigator.to_cell, *cell)
         self.leave()
 
     def leave(self) -> None:
@@ -105,7 +105,7 @@ class LargeCell(QWidget):
         if gallery.isHidden():
             gallery.show()
             self._settle.start()
-            focus_gallery(self._bench)
+            focus_gallery(self._workbench)
         else:
             self._fold(gallery)
             self.view.setFocus()
@@ -113,13 +113,13 @@ class LargeCell(QWidget):
     @property
     def _window(self) -> QMainWindow:
         # Asked for each time: a window that is closed has to be free to go.
-        window = main_window(self._bench.viewer)
+        window = main_window(self._workbench.viewer)
         assert window is not None, "made only where there is a window"
         return window
 
     @property
     def _gallery(self) -> QWidget | None:
-        gallery: QWidget | None = self._bench.viewer.window.dock_widgets.get(GALLERY)
+        gallery: QWidget | None = self._workbench.viewer.window.dock_widgets.get(GALLERY)
         return gallery
 
     def _on_canvas_wanted(self, look: Callable[[], None]) -> None:
@@ -175,35 +175,35 @@ class LargeCell(QWidget):
             then()
 
 
-def large_cell(bench: Workbench) -> LargeCell | None:
+def large_cell(workbench: Workbench) -> LargeCell | None:
     """Return where a workbench shows cells large, made when first asked for.
 
     None if there is no window.
     """
-    window = main_window(bench.viewer)
+    window = main_window(workbench.viewer)
     if window is None:
         return None
-    return window.findChild(LargeCell) or LargeCell(bench, window)
+    return window.findChild(LargeCell) or LargeCell(workbench, window)
 
 
-def open_cell(bench: Workbench, alone: bool = True) -> None:
+def open_cell(workbench: Workbench, alone: bool = True) -> None:
     """Show the selected cell large.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
     alone : bool
         Fold the gallery as well, and take the keyboard.
     """
-    review = bench.review.state
+    review = workbench.review.state
     if review.subject is None:
-        bench.model.notice(review.why_empty)
+        workbench.model.notice(review.why_empty)
         return
-    own = dock_of(bench.viewer.window.dock_widgets.get("Cell"))
+    own = dock_of(workbench.viewer.window.dock_widgets.get("Cell"))
     if own is not None and own.isVisible():  # a dock that the user has placed, perhaps elsewhere
         own.raise_()
         if alone:
             own.widget().setFocus()
         return
-    if (place := large_cell(bench)) is not None:
+    if (place := large_cell(workbench)) is not None:
         place.open(alone)

@@ -42,9 +42,9 @@ class LiveDock(QWidget):
 
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
-        self.bench = bench = Workbench.of(napari_viewer)
-        self._style = ThemedStyle(self, bench.viewer)
-        self._live = bench.live_cell
+        self.workbench = workbench = Workbench.of(napari_viewer)
+        self._style = ThemedStyle(self, workbench.viewer)
+        self._live = workbench.live_cell
         self._picture: CellPicture | None = None
         self._limits: tuple[float, float] | None = None
         self.view = SwipeView()
@@ -64,7 +64,7 @@ class LiveDock(QWidget):
         self.caption = QLabel()
         self.caption.setWordWrap(True)
         self.caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.trials = TrialList(bench.tuning)
+        self.trials = TrialList(workbench.tuning)
         sides, below = QFormLayout(), QHBoxLayout()
         sides.setVerticalSpacing(2)
         sides.addRow("Show", self.shown)
@@ -95,12 +95,12 @@ class LiveDock(QWidget):
         self._live.pictured.connect(self._on_picture)
         self._live.reference_ready.connect(self._on_change)
         self._live.failed.connect(self._on_failure)
-        listen(bench.model.inspection_changed, self._on_inspection)
-        listen(bench.model.result_opened, self._on_inspection)
-        listen(bench.model.cell_selected, self._on_cell)
-        listen(bench.model.settings_changed, self._on_settings)
-        listen(bench.tuning.changed, self._on_trials)
-        if bench.shortcuts is not None:
+        listen(workbench.model.inspection_changed, self._on_inspection)
+        listen(workbench.model.result_opened, self._on_inspection)
+        listen(workbench.model.cell_selected, self._on_cell)
+        listen(workbench.model.settings_changed, self._on_settings)
+        listen(workbench.tuning.changed, self._on_trials)
+        if workbench.shortcuts is not None:
             for sequence, text, slot in (
                 ("F", "Flicker: both pictures in turns", self.flicker.toggle),
                 ("Left", "Move the divider to the left", partial(self.view.step, -1)),
@@ -109,9 +109,9 @@ class LiveDock(QWidget):
                 ("End", "Show only what stands left", partial(self.view.move_divider, 1.0)),
             ):
                 within = self if sequence == "F" else self.view
-                bench.shortcuts.add(Key(sequence, text, "Live cell"), slot, within=within)
+                workbench.shortcuts.add(Key(sequence, text, "Live cell"), slot, within=within)
         self._on_trials()
-        self._on_inspection(bench.model.inspection)
+        self._on_inspection(workbench.model.inspection)
 
     def showEvent(self, event: QShowEvent) -> None:  # noqa: N802 (Qt's name)
         """Compute while it is seen."""
@@ -155,7 +155,7 @@ class LiveDock(QWidget):
     def _side(self, choice: Source | int) -> tuple[CellPicture | None, str]:
         """Picture and text of one side; None if there is none, or none yet."""
         if isinstance(choice, int):
-            trials = self.bench.tuning.trials
+            trials = self.workbench.tuning.trials
             trial = next((one for one in trials if one.number == choice), None)
             if trial is None:
                 return None, ""
@@ -172,7 +172,7 @@ class LiveDock(QWidget):
 
     def _on_trials(self) -> None:
         for box in (self.against, self.shown):
-            box.refill(self.bench.tuning.trials, self.trials.trials.icon)
+            box.refill(self.workbench.tuning.trials, self.trials.trials.icon)
         self._on_change()
 
     def _on_settings(self, _: object) -> None:
@@ -195,12 +195,12 @@ class LiveDock(QWidget):
             self._picture = None
             self.view.show_before(None, "")
             self.view.show_after(None, "")
-            self.view.show_message(self.bench.model.frames_gone or NEED_A_RUN)
+            self.view.show_message(self.workbench.model.frames_gone or NEED_A_RUN)
             self.caption.clear()
 
     def _note(self) -> str:
         """What the live cell leaves out, in a sentence."""
-        model = self.bench.model
+        model = self.workbench.model
         inspection, settings = model.inspection, model.settings
         if inspection is None:
             return ""

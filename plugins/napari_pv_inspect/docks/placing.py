@@ -19,16 +19,16 @@ __all__ = ["show_live_cell"]
 MIN_WIDTH, SHARE = 300, 0.26
 
 
-def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
+def show_live_cell(workbench: Workbench, controls: QWidget) -> LiveDock:
     """Show the live cell left of the controls, or bring it back.
 
     Parameters
     ----------
-    bench : Workbench
+    workbench : Workbench
     controls : QWidget
         The widget in whose dock the sliders are.
     """
-    window = main_window(bench.viewer)
+    window = main_window(workbench.viewer)
     if window is None:
         raise RuntimeError("a live cell needs a window")
     for place in window.findChildren(QDockWidget):
@@ -36,10 +36,10 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
         if live is not None:
             place.show()
             place.raise_()
-            _fit_view(bench, window)
+            _fit_view(workbench, window)
             return live
-    live = LiveDock(bench.viewer)
-    place = bench.viewer.window.add_dock_widget(live, name="Live cell", area="right")
+    live = LiveDock(workbench.viewer)
+    place = workbench.viewer.window.add_dock_widget(live, name="Live cell", area="right")
     beside = dock_of(controls)
     if beside is not None and not beside.isFloating():
         window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
@@ -48,14 +48,14 @@ def show_live_cell(bench: Workbench, controls: QWidget) -> LiveDock:
         QTimer.singleShot(0, place, partial(_widen, window, place, beside))
     # With two docks beside each other the full height is of more use than a wide gallery.
     window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
-    _fit_view(bench, window)
+    _fit_view(workbench, window)
     return live
 
 
-def _fit_view(bench: Workbench, window: QMainWindow) -> None:
+def _fit_view(workbench: Workbench, window: QMainWindow) -> None:
     """Show all layers on the narrower canvas, unless a large cell stands in its place."""
     if not canvas_area(window).isHidden():
-        bench.fit_view()
+        workbench.fit_view()
 
 
 def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:

@@ -13,16 +13,16 @@ from pv_inspect.review import VerdictKind
 __all__ = ["bind_review_keys"]
 
 
-def bind_review_keys(bench: Workbench, within: QWidget, group: str) -> None:
+def bind_review_keys(workbench: Workbench, within: QWidget, group: str) -> None:
     """Bind the letters of the verdicts while the focus is in a widget; F1 lists them."""
-    if bench.shortcuts is None:
+    if workbench.shortcuts is None:
         return
-    review = bench.review
+    review = workbench.review
     for kind in VerdictKind:
         key = Key(kind.key.upper(), f"{kind.label}: {kind.meaning}", group)
-        bench.shortcuts.add(key, partial(review.judge, kind), within=within)
+        workbench.shortcuts.add(key, partial(review.judge, kind), within=within)
     for sequence, text, slot in (
         ("Del", "Withdraw the verdict", review.withdraw),
         ("Space", "Next cell without a verdict", review.to_next),
     ):
-        bench.shortcuts.add(Key(sequence, text, group), slot, within=within)
+        workbench.shortcuts.add(Key(sequence, text, group), slot, within=within)

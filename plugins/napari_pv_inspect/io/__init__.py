@@ -1,1 +1,1 @@
-"""Opening and saving beside the window."""
+"""Opening and saving in the background."""

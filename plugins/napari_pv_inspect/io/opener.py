@@ -1,4 +1,4 @@
-"""Opens paths beside the window: frames, result folders, and frames once more in another way."""
+"""Opens paths in the background: frames, result folders, and frames once more in another way."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class Opener(QObject):
     Attributes
     ----------
     may_leave : callable
-        Asked before anything that would clear the bench; False: all stays as it is.
+        Asked before anything that would close what is open; False: all stays as it is.
     """
 
     result_opened = Signal(object)
@@ -117,7 +117,7 @@ class Opener(QObject):
         return self._worker is not None
 
     def open(self, path: Any) -> None:
-        """Put the frames or the result at a path, or a list of frames, on the bench."""
+        """Put the frames or the result at a path, or a list of frames, into the workbench."""
         if not self.may_leave():
             return
         name = Path(path).name if isinstance(path, (str, Path)) else f"{len(path)} frames"
@@ -126,7 +126,7 @@ class Opener(QObject):
         self._start(open_any, path, self._model.settings)
 
     def restore(self, result: Result) -> None:
-        """Put a result that was read already on the bench, with its frames if possible."""
+        """Put a result that was read already into the workbench, with its frames if possible."""
         if self.may_leave():
             self._name = result.folder.name
             self._start(open_result, result)
@@ -207,7 +207,7 @@ class Opener(QObject):
                 self._set_references_back()
 
     def _set_references_back(self) -> None:
-        # The controls say how the frames on the bench were read.
+        # The controls say how the open frames were read.
         dark, flat = self._read_with
         self._model.change_settings(dark_frame=dark, flat_frame=flat)
 

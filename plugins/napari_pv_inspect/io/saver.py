@@ -1,4 +1,4 @@
-"""Writes result folders beside the window."""
+"""Writes result folders in the background."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The layers of the workbench, each kept in step with the model by its own small file."""
+"""The layers of the workbench, each updated from the model by its own module."""

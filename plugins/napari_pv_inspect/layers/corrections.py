@@ -8,7 +8,7 @@ from napari.layers import Image
 from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 
-from napari_pv_inspect import appearance as look
+from napari_pv_inspect import appearance
 from napari_pv_inspect.layers.module import ModuleLayers
 from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.review.model import ReviewModel
@@ -28,8 +28,8 @@ class CorrectionLayers:
         self._marks = LayerSlot(
             viewer,
             Image,
-            name=look.CORRECTED,
-            colormap=Colormap(**look.corrected_colormap()),
+            name=appearance.CORRECTED,
+            colormap=Colormap(**appearance.corrected_colormap()),
             contrast_limits=(0.0, 1.0),
             blending="translucent",
             opacity=0.9,
@@ -42,7 +42,7 @@ class CorrectionLayers:
 
     def _on_cracks(self, cracks: NDArray[np.float32] | None) -> None:
         if cracks is None:
-            self._marks.veil()
+            self._marks.hide_until_put()
             self._of = None
         else:
             self._on_marks(None)

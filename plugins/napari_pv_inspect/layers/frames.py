@@ -95,7 +95,7 @@ class FramesLayer:
         text = ""
         if (sequence := self._model.sequence) is not None and self.frame < len(sequence):
             # The overlay does not wrap: what is too long would run out of the canvas.
-            shown = None if self._model.put_away else self._model.shown
+            shown = None if self._model.why_hidden else self._model.shown
             text = fill(frame_caption(sequence, shown, self.frame), CAPTION_LETTERS)
         overlay.position = "top_left"
         overlay.font_size = 8
@@ -104,7 +104,7 @@ class FramesLayer:
 
 
 def frame_caption(sequence: FrameSequence, inspection: Inspection | None, frame: int) -> str:
-    """Return name, fit and fate of one frame in a line."""
+    """Return name, fit and status of one frame in one line."""
     name = sequence.names[frame]
     if inspection is None or inspection.calibration is None:
         if inspection is not None and inspection.crossings is not None:

@@ -9,7 +9,7 @@ from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 from psygnal import Signal
 
-from napari_pv_inspect import appearance as look
+from napari_pv_inspect import appearance
 from napari_pv_inspect.layers.layer_data import PART_KEY
 from napari_pv_inspect.layers.placement import Placement, module_placement
 from napari_pv_inspect.layers.slot import LayerSlot
@@ -43,11 +43,11 @@ class ModuleLayers:
         self.grid: HrGrid | None = None
         self.shape = (0, 0)
         self._contrast_is_final = False
-        self._image = LayerSlot(viewer, Image, name=look.MODULE, colormap="gray")
+        self._image = LayerSlot(viewer, Image, name=appearance.MODULE, colormap="gray")
         self._support = LayerSlot(
             viewer,
             Image,
-            name=look.SUPPORT,
+            name=appearance.SUPPORT,
             colormap="viridis",
             contrast_limits=(0.0, 1.0),
             visible=False,
@@ -55,25 +55,25 @@ class ModuleLayers:
         self._consistency = LayerSlot(
             viewer,
             Image,
-            name=look.CONSISTENCY,
+            name=appearance.CONSISTENCY,
             colormap="magma",
-            contrast_limits=look.CONSISTENCY_LIMITS,
+            contrast_limits=appearance.CONSISTENCY_LIMITS,
             visible=False,
         )
         self._cracks = LayerSlot(
             viewer,
             Image,
-            name=look.CRACKS,
-            colormap=Colormap(**look.crack_colormap()),
+            name=appearance.CRACKS,
+            colormap=Colormap(**appearance.crack_colormap()),
             contrast_limits=(0.0, 1.0),
             blending="translucent",
             opacity=0.75,
         )
         self._slots = {
-            look.MODULE: self._image,
-            look.SUPPORT: self._support,
-            look.CONSISTENCY: self._consistency,
-            look.CRACKS: self._cracks,
+            appearance.MODULE: self._image,
+            appearance.SUPPORT: self._support,
+            appearance.CONSISTENCY: self._consistency,
+            appearance.CRACKS: self._cracks,
         }
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
@@ -90,9 +90,9 @@ class ModuleLayers:
         self._put_image(image, grid)
         self._shown = None
         # An overlay of an earlier image would lie about this one.
-        self._support.veil()
-        self._consistency.veil()
-        self._cracks.veil()
+        self._support.hide_until_put()
+        self._consistency.hide_until_put()
+        self._cracks.hide_until_put()
         self._know_cracks(None)
 
     def _on_sequence(self, _: FrameSequence | None) -> None:
@@ -108,7 +108,7 @@ class ModuleLayers:
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
             return
-        if self._model.put_away:
+        if self._model.why_hidden:
             if self.grid is not None:
                 self._clear()
                 self._viewer.reset_view()
@@ -134,8 +134,8 @@ class ModuleLayers:
             self._know_cracks(cracks)
 
     def _on_settings(self, _: Settings) -> None:
-        # An image that was put away comes back with its rows and columns.
-        if self._model.put_away or self.grid is None:
+        # A hidden image comes back with its rows and columns.
+        if self._model.why_hidden or self.grid is None:
             self._on_inspection(self._model.shown)
 
     def bring_back(self) -> None:
@@ -189,7 +189,7 @@ class ModuleLayers:
         place = {"scale": self.placement.scale, "translate": self.placement.translate}
         if first or not self._contrast_is_final:
             # Afterwards the contrast is the user's: images of two settings are to be compared.
-            place["contrast_limits"] = look.contrast_limits(image)
+            place["contrast_limits"] = appearance.contrast_limits(image)
         self._image.put(image, **place)
         if first:
             self._viewer.reset_view()

@@ -14,7 +14,7 @@ from napari.utils.colormaps.standardize_color import transform_color
 from numpy.typing import NDArray
 from psygnal import Signal
 
-from napari_pv_inspect import appearance as look
+from napari_pv_inspect import appearance
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.layers.overlays import CrossingMarks, crossing_marks
 from napari_pv_inspect.layers.slot import LayerSlot
@@ -24,24 +24,25 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 
 __all__ = ["PointsLayer"]
 
-COLOURS = transform_color([look.MEASURED_COLOUR, look.PREDICTED_COLOUR, look.EDITED_COLOUR])
+COLOURS = transform_color(
+    [appearance.MEASURED_COLOUR, appearance.PREDICTED_COLOUR, appearance.EDITED_COLOUR]
+)
 # Rings leave the crossing visible; thin crosses would not be seen.
 FACES = COLOURS * np.array([[0.0], [1.0], [0.0]])
 DONE = (ActionType.CHANGED, ActionType.ADDED, ActionType.REMOVED)
 
 
 class PointsLayer:
-    """Keeps the points layer in step with the editor, and the editor with the user's hand.
+    """Shows the points of the editor in a layer, and passes the user's edits to the editor.
 
-    napari changes the layer first and tells afterwards: each change by hand is read off, given to
+    napari changes the layer first and sends its event afterwards: each edit is read off, given to
     the editor, and the layer is drawn again from what the editor made of it. Only points of the
     shown frame can be changed; whatever else happens to the layer is taken back.
     """
 
     mode_changed = Signal(str)
-    held = Signal(int, object)
-    """Frame, and where the hand holds its crossings just now: {number: (x, y)}, {} when it let go.
-    """
+    dragged = Signal(int, object)
+    """Frame, and where its dragged crossings are: {number: (x, y)}; {} when the drag ends."""
 
     def __init__(
         self, viewer: ViewerModel, model: WorkbenchModel, frames: FramesLayer, editor: PointEditor
@@ -54,15 +55,15 @@ class PointsLayer:
         self._drawn: tuple[object, ...] = ()
         self._layer: Points | None = None
         self._writing = False
-        self._held: dict[int, Point] = {}
+        self._dragged: dict[int, Point] = {}
         self._frame = 0
         self._slot = LayerSlot(
             viewer,
             Points,
-            name=look.POINTS,
+            name=appearance.POINTS,
             ndim=3,
-            size=look.POINT_SIZES[0],
-            symbol=look.POINT_SYMBOLS[0],
+            size=appearance.POINT_SIZES[0],
+            symbol=appearance.POINT_SYMBOLS[0],
             face_color="transparent",
             border_width=0.22,
             opacity=0.95,
@@ -169,8 +170,8 @@ class PointsLayer:
         ):
             looks = {
                 "features": {"crossing": marks.crossing, "kind": marks.kind},
-                "symbol": np.array(look.POINT_SYMBOLS)[marks.kind],
-                "size": np.array(look.POINT_SIZES)[marks.kind],
+                "symbol": np.array(appearance.POINT_SYMBOLS)[marks.kind],
+                "size": np.array(appearance.POINT_SIZES)[marks.kind],
                 "border_color": COLOURS[marks.kind],
                 "face_color": FACES[marks.kind],
             }
@@ -184,7 +185,7 @@ class PointsLayer:
             # napari pastes without telling anybody.
             layer.bind_key("Control-V", self._on_paste, overwrite=True)
         layer.editable = self._model.run_state is RunState.IDLE
-        self._hold({})
+        self._set_dragged({})
 
     @contextmanager
     def _own_writing(self) -> Generator[None]:
@@ -201,7 +202,7 @@ class PointsLayer:
         self._model.notice("Points can't be pasted: every crossing has one. Drag or add instead.")
 
     def _on_drawn(self, _: object = None) -> None:
-        """See what the hand does between press and release, when napari holds its news back."""
+        """Read where points are dragged to: napari sends no data event before the release."""
         marks, layer = self._marks, self._layer
         if self._writing or self._slot.layer is not layer or marks is None or layer is None:
             return
@@ -209,12 +210,12 @@ class PointsLayer:
             return
         data = np.asarray(layer.data)
         if data.shape == marks.points.shape:
-            self._hold(self._elsewhere(data, marks))
+            self._set_dragged(self._elsewhere(data, marks))
 
-    def _hold(self, held: dict[int, Point]) -> None:
-        if held != self._held:
-            self._held = held
-            self.held.emit(self._frames.frame, held)
+    def _set_dragged(self, dragged: dict[int, Point]) -> None:
+        if dragged != self._dragged:
+            self._dragged = dragged
+            self.dragged.emit(self._frames.frame, dragged)
 
     def _elsewhere(self, data: Any, marks: CrossingMarks) -> dict[int, Point]:
         """Crossings of the shown frame that the layer has at other places: {number: (x, y)}."""

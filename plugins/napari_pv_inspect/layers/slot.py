@@ -1,4 +1,4 @@
-"""One layer of ours: made when there is something to show, made anew if the user deleted it."""
+"""A layer that is made when there is data, and made again if the user deleted it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class LayerSlot:
         self._kind = kind
         self._appearance = appearance
         self._layer: Layer | None = None
-        self._visible_before_veil: bool | None = None
+        self._visible_before: bool | None = None
 
     @property
     def layer(self) -> Layer | None:
@@ -53,18 +53,18 @@ class LayerSlot:
             layer.data = data
             for name, value in attributes.items():
                 setattr(layer, name, value)
-            if self._visible_before_veil is not None:
-                layer.visible = self._visible_before_veil
-        self._visible_before_veil = None
+            if self._visible_before is not None:
+                layer.visible = self._visible_before
+        self._visible_before = None
         return layer
 
     def redraw(self, data: NDArray[Any], **attributes: Any) -> Layer:
         """Show ``data`` as `put` does, at a fraction of the cost where only numbers differ.
 
-        Extent and thumbnail stay as they were: for what moves a little, under the hand.
+        Extent and thumbnail stay as they were: for what moves a little while it is dragged.
         """
         layer = self.layer
-        if layer is None or self._visible_before_veil is not None or layer.data.shape != data.shape:
+        if layer is None or self._visible_before is not None or layer.data.shape != data.shape:
             return self.put(data, **attributes)
         # napari draws anew at each attribute: here once, at the end.
         with layer.events.blocker_all():
@@ -74,10 +74,10 @@ class LayerSlot:
         layer.refresh(thumbnail=False, extent=False)
         return layer
 
-    def veil(self) -> None:
+    def hide_until_put(self) -> None:
         """Hide the layer until something is put into it again."""
-        if (layer := self.layer) is not None and self._visible_before_veil is None:
-            self._visible_before_veil = layer.visible
+        if (layer := self.layer) is not None and self._visible_before is None:
+            self._visible_before = layer.visible
             layer.visible = False
 
     def adopt(self, layer: Layer) -> None:
@@ -88,4 +88,4 @@ class LayerSlot:
         """Remove the layer from the viewer."""
         if (layer := self.layer) is not None:
             self._viewer.layers.remove(layer)
-        self._layer = self._visible_before_veil = None
+        self._layer = self._visible_before = None

@@ -1,1 +1,1 @@
-"""What follows the hand: the grid, one cell, the curve over kappa."""
+"""Views that follow the controls while they move: the grid, one cell, the curve over kappa."""

@@ -1,4 +1,4 @@
-"""The selected cell follows the sliders: rendered beside the window, the newest setting first."""
+"""The selected cell follows the sliders: rendered in the background, the newest setting first."""
 
 from __future__ import annotations
 

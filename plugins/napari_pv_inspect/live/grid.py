@@ -1,4 +1,4 @@
-"""The grid bends under the hand: the shown frame refitted for edited points or another kappa."""
+"""Refits the grid of the shown frame while its points are dragged or kappa is changed."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
-__all__ = ["BentFrame", "LiveKappa", "bend_frame"]
+__all__ = ["FrameGrid", "LiveKappa", "fit_frame_grid"]
 
 # A fit of one frame and its repaint cost up to 50 ms without a graphics card.
 THROTTLE_MS = 50
 
 
 @dataclass(frozen=True)
-class BentFrame:
+class FrameGrid:
     """Grid of one frame at a chosen kappa.
 
     Attributes
@@ -47,13 +47,13 @@ class BentFrame:
     rms_px: float
 
 
-def bend_frame(
+def fit_frame_grid(
     crossings: Crossings,
     calibration: Calibration,
     frame: int,
     image_shape: tuple[int, int],
     settings: Settings,
-) -> BentFrame:
+) -> FrameGrid:
     """Fit the pose of one frame with the lens of ``settings`` to its measured crossing points.
 
     Parameters
@@ -85,15 +85,15 @@ def bend_frame(
     if not fit.used[k]:
         raise InspectionError(f"This frame can't be fitted: {fit.why[k]}")
     segments = frame_grid(crossings.layout, fit.camera, fit.homographies[k], frame)
-    return BentFrame(segments, float(fit.rms_px[k]))
+    return FrameGrid(segments, float(fit.rms_px[k]))
 
 
 class LiveKappa:
-    """Bends the grid of the shown frame while its points or its lens differ from the fit.
+    """Shows the refitted grid of a frame while its points or its lens differ from the fit.
 
     Attributes
     ----------
-    held_rms_px : float or None
+    dragged_rms_px : float or None
         Distance of the crossing points from the grid while some are being dragged.
     """
 
@@ -112,8 +112,8 @@ class LiveKappa:
         self._frames = frames
         self._geometry = geometry
         self._editor = editor
-        self._held: dict[int, Point] = {}
-        self.held_rms_px: float | None = None
+        self._dragged: dict[int, Point] = {}
+        self.dragged_rms_px: float | None = None
         self._throttled = qthrottled(self.update, timeout=THROTTLE_MS)
         self._soon = QTimer()
         self._soon.setSingleShot(True)
@@ -143,8 +143,8 @@ class LiveKappa:
             return None
         return float(inspection.registration.camera.kappa)
 
-    def hold(self, frame: int, points: dict[int, Point]) -> None:
-        """Bend the grid while the hand holds crossings at other places; {}: it let go.
+    def drag(self, frame: int, points: dict[int, Point]) -> None:
+        """Refit the grid while crossings are dragged; {}: the drag has ended.
 
         Parameters
         ----------
@@ -152,16 +152,16 @@ class LiveKappa:
             The shown one.
         points : {number of the crossing: (x, y) px}
         """
-        self._held = points if frame == self._frames.frame else {}
-        if self._held:
+        self._dragged = points if frame == self._frames.frame else {}
+        if self._dragged:
             self._throttled()
         else:
             # An edit that follows comes before that, with a grid of its own.
-            self.held_rms_px = None
+            self.dragged_rms_px = None
             self._soon.start(0)
 
     def update(self) -> None:
-        """Bend the grid of the shown frame, or show the fitted one."""
+        """Refit the grid of the shown frame, or show the fitted one."""
         inspection, settings, fit = (
             self._model.inspection,
             self._model.settings,
@@ -178,33 +178,33 @@ class LiveKappa:
         named = f"preliminary kappa {kappa:+.4f}" if final is None else f"kappa {final:+.4f}"
         own_kappa = settings.kappa is not None and abs(settings.kappa - kappa) >= 1e-9
         own_file = settings.calibration_file != inspection.settings.calibration_file
-        if not own_kappa and not own_file and not self._held:
+        if not own_kappa and not own_file and not self._dragged:
             if self._editor.provisional and fit.used[frame]:
                 segments = frame_grid(fit.layout, fit.camera, fit.homographies[frame], frame)
-                self._geometry.bend(frame, segments)
+                self._geometry.replace_frame(frame, segments)
             else:
-                self._geometry.straighten()
+                self._geometry.show_fitted()
             state = "edited, all frames follow" if self._editor.provisional else "fit"
             self.residual_changed.emit(f"This frame, {state}: {named}, crossings {error}")
             return
-        crossings = self._editor.with_points(frame, self._held)
-        if self._held and not own_kappa and not own_file:
+        crossings = self._editor.with_points(frame, self._dragged)
+        if self._dragged and not own_kappa and not own_file:
             settings = inspection.settings.changed(
                 kappa=None, focal_length_px=None, calibration_file=None
             )
         try:
             if crossings is None:
                 raise InspectionError("There are no crossing points to fit: detect the grid.")
-            bent = bend_frame(crossings, fit, frame, inspection.sequence.shape, settings)
+            fitted = fit_frame_grid(crossings, fit, frame, inspection.sequence.shape, settings)
         except InspectionError as problem:
-            self._geometry.straighten()
+            self._geometry.show_fitted()
             self.residual_changed.emit(str(problem))
             return
-        self._geometry.bend(frame, bent.segments)
-        self.held_rms_px = bent.rms_px if self._held else None
-        what = "This frame, dragged" if self._held else "This frame"
+        self._geometry.replace_frame(frame, fitted.segments)
+        self.dragged_rms_px = fitted.rms_px if self._dragged else None
+        what = "This frame, dragged" if self._dragged else "This frame"
         self.residual_changed.emit(
-            f"{what}: crossings {bent.rms_px:.2f} px from the grid (fit: {named}, {error})"
+            f"{what}: crossings {fitted.rms_px:.2f} px from the grid (fit: {named}, {error})"
         )
 
     def _on_settings(self, settings: Settings) -> None:

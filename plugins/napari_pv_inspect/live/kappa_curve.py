@@ -1,4 +1,4 @@
-"""How the residual depends on kappa, computed beside the window whenever the fit changes."""
+"""How the residual depends on kappa, computed in the background whenever the fit changes."""
 
 from __future__ import annotations
 

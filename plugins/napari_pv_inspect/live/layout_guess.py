@@ -1,4 +1,4 @@
-"""Guesses rows and columns beside the window when a sequence comes without them."""
+"""Guesses rows and columns in the background when a sequence comes without them."""
 
 from __future__ import annotations
 

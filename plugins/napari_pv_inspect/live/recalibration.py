@@ -1,4 +1,4 @@
-"""The fit of all frames that follows an edit of points, once the hand rests."""
+"""Calibrates all frames again after an edit of points."""
 
 from __future__ import annotations
 

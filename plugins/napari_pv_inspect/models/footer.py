@@ -38,9 +38,9 @@ class Facts:
 
 
 def facts_of(model: WorkbenchModel) -> Facts:
-    """Return what is to be said about the inspection, or the result folder, on the bench."""
-    if model.put_away:
-        return Facts(numbers=model.put_away)
+    """Return what is to be said about the inspection, or the result folder, open."""
+    if model.why_hidden:
+        return Facts(numbers=model.why_hidden)
     if model.inspection is not None:
         return _of_inspection(model.inspection, _is_earlier(model))
     if model.result is not None and model.sequence is None:

@@ -1,4 +1,4 @@
-"""What the frame list says of every frame, and what a tick in it does. No Qt."""
+"""Rows of the frame list, and the settings that follow from its ticks. No Qt."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class FrameRow:
         Length of the motion blur, LR px; NaN: unknown.
     used : bool or None
         None: not known yet.
-    fate : str
-        "used", or why it is not.
+    status : str
+        "used", or why it is not used.
     wanted : bool
         The tick: whether the next run is going to use it, as far as is known.
     """
@@ -37,7 +37,7 @@ class FrameRow:
     residual: float
     motion_px: float
     used: bool | None
-    fate: str
+    status: str
     wanted: bool
 
 
@@ -51,12 +51,12 @@ def frame_rows(
     rows = []
     for i, name in enumerate(sequence.names):
         used, why = _used(inspection, i)
-        by_hand = _left_out_by_hand(inspection, name)
-        wanted = name not in skipped and (name in kept or by_hand or used is not False)
+        by_user = _left_out_by_user(inspection, name)
+        wanted = name not in skipped and (name in kept or by_user or used is not False)
         grid, residual, motion = _numbers(inspection, i)
-        told = "left out by you" if by_hand else f"rejected: {why}" if why else "rejected"
-        fate = _fate(used, told, wanted)
-        rows.append(FrameRow(name, grid, residual, motion, used, fate, wanted))
+        left_out = "left out by you" if by_user else f"rejected: {why}" if why else "rejected"
+        status = _status(used, left_out, wanted)
+        rows.append(FrameRow(name, grid, residual, motion, used, status, wanted))
     return tuple(rows)
 
 
@@ -83,7 +83,7 @@ def _used(inspection: Inspection | None, i: int) -> tuple[bool | None, str]:
     return None, ""
 
 
-def _left_out_by_hand(inspection: Inspection | None, name: str) -> bool:
+def _left_out_by_user(inspection: Inspection | None, name: str) -> bool:
     return inspection is not None and name in inspection.settings.skip_frames
 
 
@@ -99,9 +99,9 @@ def _numbers(inspection: Inspection | None, i: int) -> tuple[float, float, float
     return grid, residual, motion
 
 
-def _fate(used: bool | None, told: str, wanted: bool) -> str:
+def _status(used: bool | None, left_out: str, wanted: bool) -> str:
     if used is None:
         return "" if wanted else "to be left out"
     if used:
         return "used" if wanted else "to be left out"
-    return f"{told}; the next run tries it" if wanted else told
+    return f"{left_out}; the next run tries it" if wanted else left_out

@@ -1,4 +1,4 @@
-"""Undo and redo: edits are actions that can be taken back. No Qt, no napari."""
+"""Undo and redo of edits. No Qt, no napari."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Action:
 
 
 class History:
-    """What was done, and what was taken back."""
+    """The actions that were done, and those that were undone."""
 
     changed = Signal()
     settling = Signal()
-    """What the hand has begun is to be performed now: a slider may not have come to rest yet."""
+    """Edits that have not become actions yet, as of a slider that still moves, must do so now."""
 
     def __init__(self) -> None:
         self._done: list[Action] = []
@@ -59,7 +59,7 @@ class History:
         self.changed.emit()
 
     def settle(self) -> None:
-        """Let what was begun become an action."""
+        """Make actions of edits that are not finished."""
         self.settling.emit()
 
     def undo(self) -> None:
@@ -79,7 +79,7 @@ class History:
             self.changed.emit()
 
     def clear(self) -> None:
-        """Forget all; for another sequence or another result on the bench."""
+        """Forget all actions, for another sequence or another result."""
         self._done.clear()
         self._undone.clear()
         self.changed.emit()

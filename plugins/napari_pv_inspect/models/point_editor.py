@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 class PointEditor:
-    """The crossing points of the inspection on the bench, and the geometry that follows an edit.
+    """The crossing points of the shown inspection, and the geometry that follows an edit.
 
     An edit puts other crossing points into the inspection, which drops what was made of the
     earlier ones; undoing all edits brings the inspection of the detected points back. Edits end
@@ -153,7 +153,7 @@ class PointEditor:
             self.changed.emit()
 
     def _enter(self) -> None:
-        """Put the points into the inspection on the bench."""
+        """Put the points into the shown inspection."""
         current = self._model.inspection
         if current is None or self.crossings is None:
             return

@@ -43,7 +43,7 @@ class Failure:
 
 
 class WorkbenchModel:
-    """The sequence on the bench and all that was found out about it.
+    """The sequence open and all that was found out about it.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class WorkbenchModel:
         return self.result.doubts if self.result is not None and self.sequence is None else ()
 
     @property
-    def put_away(self) -> str:
+    def why_hidden(self) -> str:
         """Why the result of other rows and columns is not shown; "" if there is none such.
 
         As long as no run has failed it is what the user may go back to; after a run with the new
@@ -136,11 +136,11 @@ class WorkbenchModel:
             return ""
         return (
             f"The run with {asked.rows} x {asked.cols} cells failed. The earlier result with "
-            f"{layout.rows} x {layout.cols} is put away: set rows and columns back to see it again."
+            f"{layout.rows} x {layout.cols} is hidden: set rows and columns back to see it again."
         )
 
     def open(self, sequence: FrameSequence) -> None:
-        """Put another sequence on the bench; settings about the module come from its sidecar."""
+        """Put another sequence open; settings about the module come from its sidecar."""
         hint = {
             k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
         }
@@ -149,14 +149,14 @@ class WorkbenchModel:
         self._put(sequence, self.settings.changed(**{**unknown, **frames, **hint}))
 
     def reopen(self, sequence: FrameSequence) -> None:
-        """Put the same frames on the bench, read in another way; the settings stay."""
+        """Put the same frames open, read in another way; the settings stay."""
         guess = self.guess
         self._put(sequence, self.settings)
         self.guess = guess
         self.settings_changed.emit(self.settings)
 
     def restore(self, inspection: Inspection, result: Result) -> None:
-        """Put an inspection out of a result folder on the bench, with its settings."""
+        """Put an inspection out of a result folder open, with its settings."""
         settings = _with_layout(inspection.settings, inspection.layout)
         self._put(inspection.sequence, settings)
         self.result = result
@@ -182,7 +182,7 @@ class WorkbenchModel:
         Parameters
         ----------
         sequence : FrameSequence
-            What was guessed from; another one on the bench by now makes the guess void.
+            What was guessed from; another one that is open by now makes the guess void.
         guess : LayoutGuess or None
             None: the frames do not tell.
         """

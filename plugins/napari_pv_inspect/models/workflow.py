@@ -1,6 +1,6 @@
-"""The line of the method as a person walks it: what is done, stale, failed, and what comes next.
+"""The steps from opening frames to the review: how far each is, and which comes next.
 
-No Qt: `steps_of` and `next_step` read the model, docks/steps.py draws what they say.
+No Qt: `steps_of` and `next_step` read the model, docks/pages/workflow.py draws what they say.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Stage
 
-__all__ = ["REVIEW", "Deed", "NextStep", "Status", "StepView", "next_step", "steps_of"]
+__all__ = ["REVIEW", "NextStep", "Status", "StepAction", "StepView", "next_step", "steps_of"]
 
 REVIEW = "review"
 
 _WHAT: dict[str, str] = {
-    "load": "The frames are on the bench.",
+    "load": "The frames are open.",
     "detect": "The crossing points of the cells in every frame.",
     "calibrate": "Camera, distortion of the lens, and the pose of every frame.",
     "register": "The poses to a fraction of a pixel, each frame against the module.",
@@ -40,8 +40,8 @@ class Status(Enum):
     WAITING = "not done yet"
 
 
-class Deed(Enum):
-    """What the button of the strip does."""
+class StepAction(Enum):
+    """What the button of the next step does."""
 
     OPEN = "open"
     WAIT = "wait"
@@ -66,7 +66,7 @@ class StepView:
 class NextStep:
     """What the next click does."""
 
-    deed: Deed
+    action: StepAction
     text: str
     tip: str
 
@@ -95,44 +95,54 @@ def next_step(model: WorkbenchModel) -> NextStep:
         return _while_running(model)
     if model.sequence is None:
         if _only_looked_at(model):
-            return NextStep(Deed.REVIEW, "Review cells", "Show the cells of this result.")
-        return NextStep(Deed.OPEN, "Open folder...", "Choose a folder of frames, or of a result.")
+            return NextStep(StepAction.REVIEW, "Review cells", "Show the cells of this result.")
+        return NextStep(
+            StepAction.OPEN, "Open folder...", "Choose a folder of frames, or of a result."
+        )
     if settings.rows is None or settings.cols is None:
         if model.guessing:
             return NextStep(
-                Deed.WAIT, "Counting cells ...", "Rows and columns are guessed from the frames."
+                StepAction.WAIT,
+                "Counting cells ...",
+                "Rows and columns are guessed from the frames.",
             )
         return NextStep(
-            Deed.GIVE_LAYOUT, "Give rows and columns", "Go to the fields for rows and columns."
+            StepAction.GIVE_LAYOUT,
+            "Give rows and columns",
+            "Go to the fields for rows and columns.",
         )
     if model.layout_is_guessed:
         return NextStep(
-            Deed.CONFIRM,
+            StepAction.CONFIRM,
             f"Confirm {settings.rows} x {settings.cols} cells",
             "Rows x columns were guessed from the frames: say that they are right, or change them "
             "on the page Grid.",
         )
     to_do = model.to_do - {Stage.LOAD}
     if not to_do:
-        return NextStep(Deed.REVIEW, "Review cells", "Show the cells, one by one.")
+        return NextStep(StepAction.REVIEW, "Review cells", "Show the cells, one by one.")
     if Stage.DETECT in to_do:
         again = "Detect grid again" if model.failure else "Detect grid"
-        return NextStep(Deed.DETECT, again, "Find the crossing points and fit camera and grid.")
+        return NextStep(
+            StepAction.DETECT, again, "Find the crossing points and fit camera and grid."
+        )
     first = min(to_do, key=_position)
     text = f"Try again from {first.value}" if model.failure else f"Run from {first.value}"
-    return NextStep(Deed.RUN, text, f"Do {', '.join(s.value for s in _sorted(to_do))}.")
+    return NextStep(StepAction.RUN, text, f"Do {', '.join(s.value for s in _sorted(to_do))}.")
 
 
 def _while_running(model: WorkbenchModel) -> NextStep:
     if model.run_state is RunState.STOPPING:
-        return NextStep(Deed.WAIT, "Stopping ...", "The run ends at its next step.")
+        return NextStep(StepAction.WAIT, "Stopping ...", "The run ends at its next step.")
     if model.run_is_outdated:
         return NextStep(
-            Deed.RUN, "Run anew", "Settings were changed: end this run, start one with them."
+            StepAction.RUN, "Run anew", "Settings were changed: end this run, start one with them."
         )
     if model.run_until is not None:
-        return NextStep(Deed.RUN, "Then run to the end", "Go on with the run after this step.")
-    return NextStep(Deed.CANCEL, "Cancel the run", "A whole result from before stays.")
+        return NextStep(
+            StepAction.RUN, "Then run to the end", "Go on with the run after this step."
+        )
+    return NextStep(StepAction.CANCEL, "Cancel the run", "A whole result from before stays.")
 
 
 def _statuses(model: WorkbenchModel) -> dict[str, Status]:

@@ -37,7 +37,7 @@ class Reviewer(QObject):
     Attributes
     ----------
     state : ReviewModel
-    goes_on : bool
+    advances : bool
         Whether a verdict is followed by the next cell without one.
     """
 
@@ -49,7 +49,7 @@ class Reviewer(QObject):
         )
         rater = str(self._memory.value("rater", "") or _user())
         self.state = ReviewModel(history, rater)
-        self.goes_on = True
+        self.advances = True
         self._close_anyway = False
         self._collecting = QTimer(self)
         self._collecting.setInterval(COLLECT_MS)
@@ -81,7 +81,7 @@ class Reviewer(QObject):
             self._model.notice("No cell is selected: click one in the gallery first.")
             return
         self.state.give(cell, kind)
-        if self.goes_on:
+        if self.advances:
             self.to_next()
 
     def withdraw(self) -> None:
@@ -167,9 +167,9 @@ class Reviewer(QObject):
 
     def _on_inspection(self, _: Inspection | None) -> None:
         shown = self._model.shown
-        if self._model.put_away:
+        if self._model.why_hidden:
             if self.state.reviewed is not None:
-                self.state.empty(self._model.put_away)
+                self.state.empty(self._model.why_hidden)
             return
         subject = None if shown is None else Subject.of_inspection(shown)
         if shown is not None and subject is None:
@@ -215,8 +215,8 @@ class Reviewer(QObject):
         self._on_inspection(self._model.shown)
 
     def _on_settings(self, _: Settings) -> None:
-        # Cells that were put away come back with their rows and columns.
-        if self._model.put_away or self.state.subject is None:
+        # Hidden cells come back with their rows and columns.
+        if self._model.why_hidden or self.state.subject is None:
             self._on_inspection(self._model.shown)
 
     def _on_cell(self, cell: Cell | None) -> None:

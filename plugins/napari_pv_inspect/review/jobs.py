@@ -30,7 +30,7 @@ __all__ = [
     "step",
     "step_back",
     "store_marks",
-    "store_saying",
+    "store_verdict",
 ]
 
 
@@ -130,7 +130,7 @@ def _stepped(
     return Stepped(change, Corrected.of(subject, change.cell, mask))
 
 
-def store_saying(store: ReviewStore, edit: Edit, verdict: Verdict | None, note: str) -> None:
+def store_verdict(store: ReviewStore, edit: Edit, verdict: Verdict | None, note: str) -> None:
     """Store a verdict with its note; without one the note waits, and the cell is not judged."""
     if verdict is not None:
         edit.number = store.give(verdict)
@@ -164,7 +164,7 @@ class Unstored:
 
     def store(self, store: ReviewStore) -> None:
         """Store it as the newest that is said."""
-        store_saying(store, Edit(self.rater, self.cell), self.verdict, self.note)
+        store_verdict(store, Edit(self.rater, self.cell), self.verdict, self.note)
         if self.corrected is not None:
             self.corrected.store(store, self.cell, self.rater)
         elif store.mask(self.cell, self.rater) is not None:

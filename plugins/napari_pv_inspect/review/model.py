@@ -11,7 +11,7 @@ from functools import partial
 from napari_pv_inspect.models.history import Action
 from napari_pv_inspect.review import jobs as jobs
 from napari_pv_inspect.review.jobs import Corrected, Edit, Stepped
-from napari_pv_inspect.review.persistence import ReviewKeeping
+from napari_pv_inspect.review.persistence import StoredReview
 from napari_pv_inspect.review.queries import EVERY
 from napari_pv_inspect.review.subject import Mask
 from pv_inspect.review import Cell, Verdict, VerdictKind, fingerprint
@@ -19,7 +19,7 @@ from pv_inspect.review import Cell, Verdict, VerdictKind, fingerprint
 __all__ = ["EVERY", "ReviewModel"]
 
 
-class ReviewModel(ReviewKeeping):
+class ReviewModel(StoredReview):
     """What is reviewed and what was said about it: verdicts, notes, corrected marks.
 
     Every edit is an action of the history; what is shown never waits for the store.
@@ -53,23 +53,23 @@ class ReviewModel(ReviewKeeping):
         if subject is None or subject.cracks is None:
             self.failed.emit("The cracks are still looked for: correct their marks afterwards.")
             return
-        rater, side = self.rater, self._side
+        rater, own = self.rater, self._rater_review
         drawn = None if mask is None else Corrected(mask.copy(), self.features(cell))
         mask = None if drawn is None else drawn.mask
-        before = side.corrected.get(cell)
+        before = own.corrected.get(cell)
 
         def first(edit: Edit) -> None:
-            stroke = side.strokes[cell] + 1  # `show` follows
+            stroke = own.strokes[cell] + 1  # `show` follows
 
             def measured(found: Corrected | None) -> None:
-                if stroke == side.strokes[cell]:
+                if stroke == own.strokes[cell]:
                     self._put_marks(rater, cell, found)
 
             self._submit(cell, lambda store: jobs.store_marks(store, subject, edit, mask), measured)
 
         def show(done: bool) -> None:
             shown = drawn if done else before
-            side.strokes[cell] += 1
+            own.strokes[cell] += 1
             self._put_marks(rater, cell, shown)
             if self.folder is None and shown is not None:
                 self._measure(rater, cell, shown.mask)  # storing measures too, but has to wait
@@ -95,7 +95,7 @@ class ReviewModel(ReviewKeeping):
         before = self.verdict(cell), self.note(cell)
 
         def first(edit: Edit) -> None:
-            self._submit(cell, lambda store: jobs.store_saying(store, edit, *after))
+            self._submit(cell, lambda store: jobs.store_verdict(store, edit, *after))
 
         def show(done: bool) -> None:
             self._put_saying(rater, cell, *(after if done else before))
@@ -152,11 +152,11 @@ class ReviewModel(ReviewKeeping):
             return
         self._put_saying(self.rater, change.cell, change.verdict, change.note)
         if change.mask_changed or change.superseded:
-            self._side.strokes[change.cell] += 1
+            self._rater_review.strokes[change.cell] += 1
             self._put_marks(self.rater, change.cell, found.corrected)
 
     def _put_saying(self, rater: str, cell: Cell, verdict: Verdict | None, note: str) -> None:
-        self._book.side(rater).put_saying(cell, verdict, note)
+        self._module_review.rater_review(rater).put_verdict(cell, verdict, note)
         self.verdicts_changed.emit()
 
 

@@ -1,4 +1,4 @@
-"""Where a review is kept: reading it, storing it, taking it along. No Qt, no napari.
+"""Stores a review in a result folder and reads it from there. No Qt, no napari.
 
 What is stored is taken in by `collect`, in the thread that calls it.
 """
@@ -13,18 +13,18 @@ from psygnal import Signal
 
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.review import jobs as jobs
-from napari_pv_inspect.review.book import Book
 from napari_pv_inspect.review.jobs import Corrected, Loaded, TakeOver, Unstored
 from napari_pv_inspect.review.journal import Done, Job, Journal, wait_for_all
+from napari_pv_inspect.review.module_review import ModuleReview
 from napari_pv_inspect.review.queries import NO_CELLS, ReviewView
 from napari_pv_inspect.review.subject import Mask, Subject
 from pv_inspect.review import Cell, ModuleData, ReviewState, ReviewStore, Verdict
 
-__all__ = ["ReviewKeeping"]
+__all__ = ["StoredReview"]
 
 
-class ReviewKeeping(ReviewView):
-    """A review that is kept in a result folder as soon as there is one.
+class StoredReview(ReviewView):
+    """A review that is stored in a result folder as soon as there is one.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class ReviewKeeping(ReviewView):
     rater : str
         Name of the person who judges.
     make_journal : callable, optional
-        Makes the line of things to store.
+        Makes the queue of things to store.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class ReviewKeeping(ReviewView):
         cells = () if subject is None or subject.cracks is None else subject.cracks.cells
         self._found = {(cell.row, cell.col): cell for cell in cells}
         if leaves:
-            self._leave()
+            self._begin_another()
         elif self.folder is not None:
             self._reload()  # marks are measured on the new image
         self.subject_changed.emit(subject)
@@ -128,19 +128,20 @@ class ReviewKeeping(ReviewView):
             return
         old = self.folder
         if old is not None and old != folder:
-            book, data = self._book, self.module_data
+            review, data = self._module_review, self.module_data
             unstored = [
                 Unstored(
                     rater,
                     cell,
-                    book.sides[rater].verdicts.get(cell),
-                    book.sides[rater].notes.get(cell, ""),
-                    book.sides[rater].corrected.get(cell),
+                    review.raters[rater].verdicts.get(cell),
+                    review.raters[rater].notes.get(cell, ""),
+                    review.raters[rater].corrected.get(cell),
                 )
-                for rater, cell in book.unstored()
+                for rater, cell in review.unstored()
             ]
-            self._leave()
-            self._book, self.module_data = book.without_pending(), data  # in sight until it is read
+            self._begin_another()
+            # What was said stays in sight until the other folder is read.
+            self._module_review, self.module_data = review.without_pending(), data
             self._journal.attach(folder, TakeOver(old, unstored), self._on_taken)
             self._reload()
             return
@@ -201,22 +202,23 @@ class ReviewKeeping(ReviewView):
     def _submit(
         self, cell: Cell | None, job: Job, done: Done | None = None, rater: str | None = None
     ) -> None:
-        """Have something stored; ``done`` is not called if another book is open by then."""
-        book, side = self._book, self._book.side(rater or self.rater)
+        """Have something stored; ``done`` is not called if another review is shown by then."""
+        review = self._module_review
+        own = review.rater_review(rater or self.rater)
         if cell is not None:
-            side.unstored[cell] += 1
+            own.unstored[cell] += 1
 
         def stored(value: Any) -> None:
             if cell is not None:
-                side.unstored[cell] -= 1
-            if done is not None and book is self._book:
+                own.unstored[cell] -= 1
+            if done is not None and review is self._module_review:
                 done(value)
             self.verdicts_changed.emit()
 
         self._journal.submit(job, stored)
 
     def _put_marks(self, rater: str, cell: Cell, corrected: Corrected | None) -> None:
-        self._book.side(rater).put_marks(cell, corrected)
+        self._module_review.rater_review(rater).put_marks(cell, corrected)
         if rater == self.rater:
             self.marks_changed.emit(cell)
 
@@ -236,7 +238,8 @@ class ReviewKeeping(ReviewView):
 
     def _on_first_loaded(self, found: Loaded) -> None:
         """Say so where the folder knows another verdict than the one given before it was known."""
-        given = {(r, c): self._book.sides[r].verdicts.get(c) for r, c in self._book.unstored()}
+        review = self._module_review
+        given = {(r, c): review.raters[r].verdicts.get(c) for r, c in review.unstored()}
         differ = 0
         for verdict in found.verdicts:
             newer = given.get((verdict.rater, verdict.cell))
@@ -249,9 +252,9 @@ class ReviewKeeping(ReviewView):
         self._on_loaded(found)
 
     def _on_loaded(self, found: Loaded) -> None:
-        side = self._book.side(found.rater)
-        side.take_notes(found.notes)
-        for cell in side.take_masks(found.masks):
+        own = self._module_review.rater_review(found.rater)
+        own.take_notes(found.notes)
+        for cell in own.take_masks(found.masks):
             self._measure(found.rater, cell, found.masks[cell])
         self._on_verdicts(found.verdicts)
         if found.rater != self.rater:
@@ -264,17 +267,18 @@ class ReviewKeeping(ReviewView):
             self.remembered.emit((found.state.row, found.state.col))
 
     def _measure(self, rater: str, cell: Cell, mask: Mask) -> None:
-        """Measure marks when there is time; verdicts are shown without it."""
-        book, subject, side = self._book, self.subject, self._book.side(rater)
-        stroke = side.strokes[cell]
+        """Measure marks in the journal's thread; verdicts are shown without them."""
+        review, subject = self._module_review, self.subject
+        own = review.rater_review(rater)
+        stroke = own.strokes[cell]
 
         def measured(found: Corrected | None) -> None:
-            if book is self._book and stroke == side.strokes[cell]:
+            if review is self._module_review and stroke == own.strokes[cell]:
                 self._put_marks(rater, cell, found)
 
         self._journal.later(lambda: Corrected.of(subject, cell, mask), measured)
 
-    def _look(self, store: ReviewStore) -> tuple[Verdict, ...] | None:
+    def _read_if_changed(self, store: ReviewStore) -> tuple[Verdict, ...] | None:
         """Verdicts, if another process has stored something; runs in the journal's thread."""
         version = store.data_version()
         changed = version != self._version
@@ -282,7 +286,7 @@ class ReviewKeeping(ReviewView):
         return store.current() if changed else None
 
     def _on_verdicts(self, verdicts: Iterable[Verdict]) -> None:
-        self._book.sort_out(verdicts)
+        self._module_review.take_all_verdicts(verdicts)
         self.verdicts_changed.emit()
 
     def _need_folder(self) -> None:
@@ -292,7 +296,7 @@ class ReviewKeeping(ReviewView):
                 "Verdicts are kept in the result folder: save the result, they go there with it."
             )
 
-    def _leave(self) -> None:
+    def _begin_another(self) -> None:
         """Begin another review; what is pending is stored all the same."""
         if self.folder is None and self._journal.pending > self.given_up:
             self.failed.emit(
@@ -307,12 +311,12 @@ class ReviewKeeping(ReviewView):
             self._history.clear()
         self._asked_for_folder = False
         self.given_up = 0
-        self._book = Book()
+        self._module_review = ModuleReview()
         self._version = 0
         self.module_data = ModuleData()
 
     def _new_journal(self) -> Journal:
-        return self._make_journal(self.failed.emit, self._look, self._on_verdicts)
+        return self._make_journal(self.failed.emit, self._read_if_changed, self._on_verdicts)
 
 
 def _same_module(a: Subject | None, b: Subject | None) -> bool:

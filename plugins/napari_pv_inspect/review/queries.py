@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from psygnal import Signal
 
-from napari_pv_inspect.review.book import Book, Side
+from napari_pv_inspect.review.module_review import ModuleReview, RaterReview
 from napari_pv_inspect.review.subject import Mask, Subject
 from pv_inspect.cracks import CellCounts, CellFeatures, CellState, state_of
 from pv_inspect.review import (
@@ -58,7 +58,7 @@ class ReviewView:
 
     def __init__(self, rater: str) -> None:
         self._found: dict[Cell, CellFeatures] = {}
-        self._book = Book()
+        self._module_review = ModuleReview()
         self.subject: Subject | None = None
         self.why_empty = NO_CELLS
         self.rater = rater
@@ -69,22 +69,22 @@ class ReviewView:
         self.threshold = 0.5
 
     @property
-    def _side(self) -> Side:
-        return self._book.side(self.rater)
+    def _rater_review(self) -> RaterReview:
+        return self._module_review.rater_review(self.rater)
 
     # One cell
 
     def is_pending(self, cell: Cell) -> bool:
         """Whether something about the cell is not stored yet."""
-        return self._side.unstored[cell] > 0
+        return self._rater_review.unstored[cell] > 0
 
     def verdict(self, cell: Cell) -> Verdict | None:
         """Verdict of the rater."""
-        return self._side.verdicts.get(cell)
+        return self._rater_review.verdicts.get(cell)
 
     def others(self, cell: Cell) -> list[Verdict]:
         """Verdicts of the other raters."""
-        return self._book.others(cell, self.rater)
+        return self._module_review.others(cell, self.rater)
 
     def is_disputed(self, cell: Cell) -> bool:
         """Whether raters say different things."""
@@ -95,11 +95,11 @@ class ReviewView:
     def note(self, cell: Cell) -> str:
         """Note about a cell, also one that waits for its verdict."""
         verdict = self.verdict(cell)
-        return self._side.notes.get(cell, "") if verdict is None else verdict.note
+        return self._rater_review.notes.get(cell, "") if verdict is None else verdict.note
 
     def features(self, cell: Cell) -> CellFeatures | None:
         """Features of a cell, those of the corrected marks if there are any."""
-        corrected = self._side.corrected.get(cell)
+        corrected = self._rater_review.corrected.get(cell)
         if corrected is not None and corrected.features is not None:
             return corrected.features
         return self._found.get(cell)
@@ -109,7 +109,7 @@ class ReviewView:
 
         Marks that were drawn on an image of another size do not count.
         """
-        corrected = self._side.corrected.get(cell)
+        corrected = self._rater_review.corrected.get(cell)
         if corrected is None or self.subject is None:
             return None
         fits = corrected.mask.shape == self.subject.tiles.images.shape[2:]
@@ -118,7 +118,7 @@ class ReviewView:
     @property
     def corrections(self) -> dict[Cell, Mask]:
         """All marks that the rater has corrected, by cell."""
-        found = {cell: self.correction(cell) for cell in self._side.corrected}
+        found = {cell: self.correction(cell) for cell in self._rater_review.corrected}
         return {cell: mask for cell, mask in found.items() if mask is not None}
 
     def marks(self, cell: Cell) -> Mask | None:
@@ -135,7 +135,7 @@ class ReviewView:
     @property
     def listed(self) -> tuple[Cell, ...]:
         """Cells that pass the filter, in order."""
-        passed = filtered(self._ordered(), self._side.verdicts, self.kinds)
+        passed = filtered(self._ordered(), self._rater_review.verdicts, self.kinds)
         cells = ((f.row, f.col) for f in passed)
         every = len(self.states) == len(CellState)
         return tuple(
@@ -160,13 +160,13 @@ class ReviewView:
         """How many cells the rater has judged."""
         if self.subject is None:
             return None
-        return progress(self._side.verdicts.values(), self.subject.tiles.grid.layout)
+        return progress(self._rater_review.verdicts.values(), self.subject.tiles.grid.layout)
 
     def next_unjudged(self, after: Cell | None) -> Cell | None:
         """Next cell without a verdict among those that are listed; None if there is none."""
         listed = {*self.listed, after}
         cells = [f for f in self._ordered() if (f.row, f.col) in listed]
-        return next_unjudged(cells, self._side.verdicts, after)
+        return next_unjudged(cells, self._rater_review.verdicts, after)
 
     def set_order(self, order: Order) -> None:
         """List the cells in another order."""
@@ -193,4 +193,4 @@ class ReviewView:
         if self.subject is None:
             return ()
         blank = {at: CellFeatures(*at, 0.0, 0, 0.0, 0.0, 0.0) for at in self.subject.places}
-        return ordered({**blank, **self._found}.values(), self._side.verdicts, self.order)
+        return ordered({**blank, **self._found}.values(), self._rater_review.verdicts, self.order)

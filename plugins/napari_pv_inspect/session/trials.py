@@ -14,18 +14,18 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.results.record import Result
 from pv_inspect.results.trials import KeptTrial, read_trials, write_trials
 
-__all__ = ["TrialKeeper"]
+__all__ = ["TrialStore"]
 
 DELAY_MS = 500
 
 
-class TrialKeeper(QObject):
-    """Writes the trials beside the result of the bench soon after each change, in a thread.
+class TrialStore(QObject):
+    """Writes the trials beside the open result soon after each change, in a thread.
 
     Attributes
     ----------
     folder : Path or None
-        The result folder that belongs to what is on the bench; None: it was not saved yet.
+        The result folder that belongs to what is open; None: it was not saved yet.
     """
 
     _failed = Signal(str)

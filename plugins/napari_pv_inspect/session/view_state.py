@@ -14,18 +14,18 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.results.record import Result
 from pv_inspect.results.session import Session, read_session, write_session
 
-__all__ = ["SessionKeeper"]
+__all__ = ["SessionStore"]
 
 DELAY_MS = 500
 
 
-class SessionKeeper(QObject):
-    """Writes `Session` beside the result of the bench soon after each change.
+class SessionStore(QObject):
+    """Writes `Session` beside the open result soon after each change.
 
     Attributes
     ----------
     folder : Path or None
-        The result folder that belongs to what is on the bench; None: it was not saved yet.
+        The result folder that belongs to what is open; None: it was not saved yet.
     page : str
         Open page of the controls.
     """

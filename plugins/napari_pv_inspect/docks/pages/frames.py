@@ -1,4 +1,4 @@
-"""The list of frames: how well each fits, whether it is used and why; a tick decides."""
+"""The list of frames: how well each fits, and a tick that says whether it is used."""
 
 from __future__ import annotations
 
@@ -107,22 +107,22 @@ class FrameTable(QAbstractTableModel):
             return Qt.CheckState.Checked if row.wanted else Qt.CheckState.Unchecked
         number = {GRID: row.grid_px, RESIDUAL: row.residual, BLUR: row.motion_px}.get(column)
         if role == Qt.ItemDataRole.DisplayRole:
-            if column == GRID and is_told_whole(row):
-                return row.fate
+            if column == GRID and shows_reason(row):
+                return row.status
             if number is not None:
                 return f"{number:.2f}" if math.isfinite(number) else ""
-            if column == STATUS and is_told_whole(row):
+            if column == STATUS and shows_reason(row):
                 return ""  # it stands in the place of the numbers
-            return row.name if column == NAME else row.fate
+            return row.name if column == NAME else row.status
         if role == SORT_ROLE:
             if number is not None:
                 return number if math.isfinite(number) else math.inf
-            return index.row() if column == NAME else row.fate
+            return index.row() if column == NAME else row.status
         if role == Qt.ItemDataRole.ToolTipRole:
-            return f"{row.name}: {row.fate or 'nothing known yet'}\n{TICK_TIP}"
+            return f"{row.name}: {row.status or 'nothing known yet'}\n{TICK_TIP}"
         if role == Qt.ItemDataRole.ForegroundRole and not row.wanted:
             return REJECTED if row.used is False and column in (GRID, STATUS) else LEFT_OUT
-        if role == Qt.ItemDataRole.TextAlignmentRole and column == GRID and is_told_whole(row):
+        if role == Qt.ItemDataRole.TextAlignmentRole and column == GRID and shows_reason(row):
             return Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter
         if role == Qt.ItemDataRole.TextAlignmentRole and number is not None:
             return Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
@@ -131,24 +131,24 @@ class FrameTable(QAbstractTableModel):
     def setData(  # noqa: N802 (Qt's name)
         self, index: ModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole
     ) -> bool:
-        """Hand a tick on; the table changes when the settings have."""
+        """Pass a tick on; the table changes with the settings."""
         if role != Qt.ItemDataRole.CheckStateRole or index.column() != NAME:
             return False
         self.tick_wanted.emit(index.row(), Qt.CheckState(value) == Qt.CheckState.Checked)
         return True
 
 
-def is_told_whole(row: FrameRow) -> bool:
-    """Whether the fate of a frame takes the place of its numbers, wrapped over several lines."""
+def shows_reason(row: FrameRow) -> bool:
+    """Whether the status of a frame takes the place of its numbers, wrapped over several lines."""
     return row.used is False
 
 
 class FramesBox(QWidget):
     """The table of all frames; its row and the time slider go together."""
 
-    def __init__(self, bench: Workbench, parent: QWidget | None = None) -> None:
+    def __init__(self, workbench: Workbench, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._bench = bench
+        self._workbench = workbench
         self.table = FrameTable()
         self.sorted = QSortFilterProxyModel()
         self.sorted.setSourceModel(self.table)
@@ -192,14 +192,14 @@ class FramesBox(QWidget):
         self.view.selectionModel().currentRowChanged.connect(self._on_row)
         header.sectionResized.connect(self._wrap_soon)
         self.sorted.layoutChanged.connect(self._wrap_soon)
-        model = bench.model
+        model = workbench.model
         for signal in (model.sequence_changed, model.settings_changed, model.inspection_changed):
             listen(signal, self._refill)
-        listen(bench.frames.frame_shown, self._on_frame)
+        listen(workbench.frames.frame_shown, self._on_frame)
         self._refill()
 
     def _refill(self, _: object = None) -> None:
-        model = self._bench.model
+        model = self._workbench.model
         rows = frame_rows(model.sequence, model.shown, model.settings)
         self.table.show_rows(rows)
         used = [row.used for row in rows]
@@ -208,7 +208,7 @@ class FramesBox(QWidget):
         else:
             self.summary.setText(f"{sum(map(bool, used))} of {len(rows)} frames used")
         self._wrap()
-        self._on_frame(self._bench.frames.frame)
+        self._on_frame(self._workbench.frames.frame)
 
     def _wrap_soon(self, *_: object) -> None:
         self._wrapping.start()
@@ -219,21 +219,21 @@ class FramesBox(QWidget):
         usual = self.view.verticalHeader().defaultSectionSize()
         for k in range(self.sorted.rowCount()):
             row = self.table.rows[self.sorted.mapToSource(self.sorted.index(k, NAME)).row()]
-            if is_told_whole(row):
+            if shows_reason(row):
                 self.view.setSpan(k, GRID, 1, len(COLUMNS) - GRID)
                 self.view.resizeRowToContents(k)
             elif self.view.rowHeight(k) != usual:
                 self.view.setRowHeight(k, usual)
 
     def _on_tick(self, frame: int, wanted: bool) -> None:
-        model, row = self._bench.model, self.table.rows[frame]
+        model, row = self._workbench.model, self.table.rows[frame]
         before = model.settings
         after = ticked(before, row, wanted)
 
         def put(skip: tuple[str, ...], keep: tuple[str, ...]) -> None:
             model.change_settings(skip_frames=skip, keep_frames=keep)
 
-        self._bench.history.perform(
+        self._workbench.history.perform(
             Action(
                 f"{'Use' if wanted else 'Leave out'} {row.name}",
                 lambda: put(after.skip_frames, after.keep_frames),
@@ -243,7 +243,7 @@ class FramesBox(QWidget):
 
     def _on_row(self, index: QModelIndex, _: QModelIndex) -> None:
         if index.isValid():
-            self._bench.frames.show(self.sorted.mapToSource(index).row())
+            self._workbench.frames.show(self.sorted.mapToSource(index).row())
 
     def _on_frame(self, frame: int) -> None:
         index = self.sorted.mapFromSource(self.table.index(frame, NAME))

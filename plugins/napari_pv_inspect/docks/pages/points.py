@@ -33,9 +33,9 @@ LEGEND = "&nbsp; ".join(
 class PointsBox(QGroupBox):
     """Legend and tools of the points layer."""
 
-    def __init__(self, bench: Workbench, parent: QWidget | None = None) -> None:
+    def __init__(self, workbench: Workbench, parent: QWidget | None = None) -> None:
         super().__init__("Crossing points", parent)
-        self._bench = bench
+        self._workbench = workbench
         self.legend = QLabel(LEGEND)
         self.legend.setToolTip(
             "Measured: from visible gaps, used by the fit. Predicted: where the fit expects the "
@@ -59,18 +59,18 @@ class PointsBox(QGroupBox):
         self.select.clicked.connect(self._on_select)
         self.add.clicked.connect(self._on_add)
         self.delete.clicked.connect(self._on_delete)
-        if bench.shortcuts is not None:
+        if workbench.shortcuts is not None:
             for key, text, button in (
                 ("F6", "Select and drag points, or move the view again", self.select),
                 ("F7", "Add points, or move the view again", self.add),
                 ("F8", "Delete the selected points", self.delete),
             ):
-                bench.shortcuts.add(Key(key, text, GROUP), button.click)
-        listen(bench.points.mode_changed, self._on_mode)
-        listen(bench.editor.changed, self._on_state)
-        listen(bench.model.run_changed, self._on_state)
-        listen(bench.model.inspection_changed, self._on_state)
-        listen(bench.live.residual_changed, self._on_state)
+                workbench.shortcuts.add(Key(key, text, GROUP), button.click)
+        listen(workbench.points.mode_changed, self._on_mode)
+        listen(workbench.editor.changed, self._on_state)
+        listen(workbench.model.run_changed, self._on_state)
+        listen(workbench.model.inspection_changed, self._on_state)
+        listen(workbench.live.residual_changed, self._on_state)
         self._on_state()
 
     def _tool(self, text: str, tip: str, key: str) -> QPushButton:
@@ -80,22 +80,22 @@ class PointsBox(QGroupBox):
         return button
 
     def _on_select(self, on: bool) -> None:
-        self._bench.points.use("select" if on else "pan_zoom")
+        self._workbench.points.use("select" if on else "pan_zoom")
 
     def _on_add(self, on: bool) -> None:
-        self._bench.points.use("add" if on else "pan_zoom")
+        self._workbench.points.use("add" if on else "pan_zoom")
 
     def _on_delete(self) -> None:
-        self._bench.points.delete_selected()
+        self._workbench.points.delete_selected()
 
     def _on_mode(self, mode: str) -> None:
         self.select.setChecked(mode == "select")
         self.add.setChecked(mode == "add")
 
     def _on_state(self, _: object = None) -> None:
-        bench = self._bench
-        crossings, frame = bench.editor.crossings, bench.frames.frame
-        idle = bench.model.run_state is RunState.IDLE
+        workbench = self._workbench
+        crossings, frame = workbench.editor.crossings, workbench.frames.frame
+        idle = workbench.model.run_state is RunState.IDLE
         ready = crossings is not None and idle
         for button in (self.select, self.add, self.delete):
             button.setEnabled(ready)
@@ -104,11 +104,11 @@ class PointsBox(QGroupBox):
             return
         points = crossings.frames[frame]
         text = f"{int(points.measured.sum())} of {len(points.measured)} measured"
-        edited = bench.editor.edits.count(frame)
+        edited = workbench.editor.edits.count(frame)
         text += f", {edited} edited" if edited else ""
-        fit, held = bench.editor.calibration, bench.live.held_rms_px
-        if held is not None:
-            text += f"; {held:.2f} px from the grid here"
+        fit, dragged = workbench.editor.calibration, workbench.live.dragged_rms_px
+        if dragged is not None:
+            text += f"; {dragged:.2f} px from the grid here"
         elif fit is not None and fit.used[frame]:
             text += f"; {fit.rms_px[frame]:.2f} px from the grid"
         elif fit is not None:

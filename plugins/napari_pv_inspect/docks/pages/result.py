@@ -73,4 +73,4 @@ class ResultBox(QWidget):
         self.summary.setToolTip(facts.details)
         self.warnings.show_sentences(facts.warnings)
         whole = model.inspection is not None and model.inspection.complete
-        self.save.setEnabled(whole and not model.put_away)
+        self.save.setEnabled(whole and not model.why_hidden)

@@ -52,9 +52,9 @@ class ReviewBox(QGroupBox):
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note about this cell")
         self.note.setToolTip("Stored with the verdict; Enter stores it to one that is given.")
-        self.goes_on = QCheckBox("Then the next cell not judged")
-        self.goes_on.setChecked(reviewer.goes_on)
-        self.goes_on.setToolTip("After a verdict select the next listed cell without one.")
+        self.advances = QCheckBox("Then the next cell not judged")
+        self.advances.setChecked(reviewer.advances)
+        self.advances.setToolTip("After a verdict select the next listed cell without one.")
         self.undo = QPushButton("Undo")
         self.redo = QPushButton("Redo")
         self.withdraw = QPushButton("Withdraw")
@@ -70,7 +70,7 @@ class ReviewBox(QGroupBox):
             button.clicked.connect(partial(self._on_verdict, kind))
         self.rater.editingFinished.connect(self._on_rater)
         self.note.editingFinished.connect(self._on_note)
-        self.goes_on.toggled.connect(self._on_goes_on)
+        self.advances.toggled.connect(self._on_advances)
         self.undo.clicked.connect(self._on_undo)
         self.redo.clicked.connect(history.redo)
         self.withdraw.clicked.connect(reviewer.withdraw)
@@ -99,7 +99,7 @@ class ReviewBox(QGroupBox):
         layout.addWidget(self.cell)
         layout.addLayout(grid)
         layout.addWidget(self.note)
-        layout.addWidget(self.goes_on)
+        layout.addWidget(self.advances)
         layout.addLayout(back)
         layout.addWidget(self.bar)
         layout.addWidget(self.progress)
@@ -124,8 +124,8 @@ class ReviewBox(QGroupBox):
         if self.note.isModified():
             self._on_note()
 
-    def _on_goes_on(self, goes_on: bool) -> None:
-        self._reviewer.goes_on = goes_on
+    def _on_advances(self, advances: bool) -> None:
+        self._reviewer.advances = advances
 
     def _on_undo(self) -> None:
         self._history.settle()

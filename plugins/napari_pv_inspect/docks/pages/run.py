@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBox
 from napari_pv_inspect.appearance import WARNING_COLOUR
 from napari_pv_inspect.models.remaining_time import remaining_text
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from napari_pv_inspect.models.workflow import Deed, next_step
+from napari_pv_inspect.models.workflow import StepAction, next_step
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import set_primary
 from pv_inspect.settings import Stage
@@ -24,7 +24,7 @@ RUN_TIP = (
     "Detect it follows."
 )
 IN_DOUBT = "In doubt: do not rely on this result; the reason stands below."
-BEFORE = (Deed.CONFIRM, Deed.DETECT)
+BEFORE = (StepAction.CONFIRM, StepAction.DETECT)
 """Steps beside which a run of everything is offered."""
 
 
@@ -93,20 +93,20 @@ class RunBox(QWidget):
         elif idle:
             self.progress.setValue(1000 if model.inspection is not None and not model.to_do else 0)
             self.message.setText(self._advice())
-            self._colour(WARNING_COLOUR if model.doubts or model.put_away else "")
+            self._colour(WARNING_COLOUR if model.doubts or model.why_hidden else "")
 
     def _name_run(self) -> None:
         step, idle = next_step(self._model), self._model.run_state is RunState.IDLE
-        comes_next = step.deed is Deed.RUN
+        comes_next = step.action is StepAction.RUN
         self.run.setText(step.text if comes_next else RUN_ALL)
         self.run.setToolTip(f"{step.tip} {RUN_TIP}" if comes_next else f"{ALL_TIP} {RUN_TIP}")
-        self.run.setVisible(comes_next or (idle and self.run.isEnabled() and step.deed in BEFORE))
+        self.run.setVisible(comes_next or (idle and self.run.isEnabled() and step.action in BEFORE))
         set_primary(self.run, comes_next)
 
     def _advice(self) -> str:
         model = self._model
-        if model.put_away:
-            return model.put_away
+        if model.why_hidden:
+            return model.why_hidden
         if model.sequence is None:
             if model.result is not None:
                 return IN_DOUBT if model.doubts else model.frames_gone

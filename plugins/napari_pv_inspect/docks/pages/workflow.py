@@ -1,4 +1,4 @@
-"""The strip of steps at the top: where one is, and the button for what comes next."""
+"""The row of steps at the top with the state of each, and the button of the next step."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from napari_pv_inspect.models.workflow import Deed, Status, StepView, next_step, steps_of
+from napari_pv_inspect.models.workflow import Status, StepAction, StepView, next_step, steps_of
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import set_primary
 
@@ -34,7 +34,7 @@ HEIGHT = 46
 
 
 class StepLine(QWidget):
-    """Draws the steps as beads on a line; their names stand above and below in turn."""
+    """Draws the steps as circles on a line; their names stand above and below alternately."""
 
     step_clicked = Signal(str)
 
@@ -56,7 +56,7 @@ class StepLine(QWidget):
         return QSize(300, HEIGHT)
 
     def centre(self, k: int) -> QPointF:
-        """Return the middle of one bead."""
+        """Return the centre of one circle."""
         pitch = self.width() / max(len(self.steps), 1)
         return QPointF((k + 0.5) * pitch, HEIGHT / 2)
 
@@ -68,12 +68,12 @@ class StepLine(QWidget):
         return bool(super().event(event))
 
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
-        """Tell which step was clicked."""
+        """Emit which step was clicked."""
         if self.steps:
             self.step_clicked.emit(self.steps[self._at(event.position().x())].name)
 
     def paintEvent(self, _: QPaintEvent) -> None:  # noqa: N802 (Qt's name)
-        """Draw the line, the beads and the names."""
+        """Draw the line, the circles and the names."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         font = painter.font()
@@ -84,7 +84,7 @@ class StepLine(QWidget):
             painter.drawLine(self.centre(0), self.centre(len(self.steps) - 1))
         pitch = self.width() / max(len(self.steps), 1)
         for k, step in enumerate(self.steps):
-            self._bead(painter, self.centre(k), step.status)
+            self._draw_circle(painter, self.centre(k), step.status)
             plain = self.palette().text().color()
             painter.setPen(QColor(COLOURS[step.status]) if _calls(step.status) else plain)
             top = HEIGHT - 14 if k % 2 else 0
@@ -97,7 +97,7 @@ class StepLine(QWidget):
             painter.drawText(QRectF(left, top, 2 * pitch, 14), side, step.name)
         painter.end()
 
-    def _bead(self, painter: QPainter, middle: QPointF, status: Status) -> None:
+    def _draw_circle(self, painter: QPainter, middle: QPointF, status: Status) -> None:
         colour = QColor(COLOURS[status])
         hollow = status in (Status.NEXT, Status.WAITING)
         painter.setPen(QPen(colour, 2.0))
@@ -134,7 +134,7 @@ def _calls(status: Status) -> bool:
 
 
 class StepsBox(QWidget):
-    """The strip and the button of the next step.
+    """The row of steps and the button of the next step.
 
     Where the next step is a run, or the end of one, the buttons of the run stand in its place:
     there is one button for one thing.
@@ -184,9 +184,9 @@ class StepsBox(QWidget):
         step = next_step(self._model)
         self.next.setText(step.text)
         self.next.setToolTip(step.tip)
-        self.next.setEnabled(step.deed is not Deed.WAIT)
+        self.next.setEnabled(step.action is not StepAction.WAIT)
         idle = self._model.run_state is RunState.IDLE
-        self.next.setVisible(idle and step.deed is not Deed.RUN)
+        self.next.setVisible(idle and step.action is not StepAction.RUN)
 
     def _on_next(self) -> None:
-        self.wanted.emit(next_step(self._model).deed)
+        self.wanted.emit(next_step(self._model).action)

@@ -10,11 +10,11 @@ from napari_pv_inspect.review.jobs import Corrected
 from napari_pv_inspect.review.subject import Mask
 from pv_inspect.review import Cell, Verdict, of_rater
 
-__all__ = ["Book", "Side"]
+__all__ = ["ModuleReview", "RaterReview"]
 
 
 @dataclass
-class Side:
+class RaterReview:
     """What one rater says.
 
     Attributes
@@ -60,7 +60,7 @@ class Side:
         self.corrected = {**{cell: Corrected(read[cell], None) for cell in taken}, **newer}
         return taken
 
-    def put_saying(self, cell: Cell, verdict: Verdict | None, note: str) -> None:
+    def put_verdict(self, cell: Cell, verdict: Verdict | None, note: str) -> None:
         """Take over a verdict and a note; without a verdict the note waits for one."""
         self.verdicts.pop(cell, None)
         self.notes.pop(cell, None)
@@ -77,53 +77,53 @@ class Side:
 
 
 @dataclass
-class Book:
+class ModuleReview:
     """What is said about the cells of one module.
 
     Attributes
     ----------
     stored : tuple of Verdict
         Of all raters, as last read.
-    sides : dict of str to Side
+    raters : dict of str to RaterReview
         Of those who judge here, by name.
     """
 
     stored: tuple[Verdict, ...] = ()
-    sides: dict[str, Side] = field(default_factory=dict)
+    raters: dict[str, RaterReview] = field(default_factory=dict)
     _stored_on: dict[Cell, list[Verdict]] = field(default_factory=dict)
 
-    def side(self, rater: str) -> Side:
+    def rater_review(self, rater: str) -> RaterReview:
         """What a rater says; begun with what is stored."""
-        if rater not in self.sides:
-            self.sides[rater] = Side(of_rater(self.stored, rater))
-        return self.sides[rater]
+        if rater not in self.raters:
+            self.raters[rater] = RaterReview(of_rater(self.stored, rater))
+        return self.raters[rater]
 
-    def sort_out(self, verdicts: Iterable[Verdict]) -> None:
+    def take_all_verdicts(self, verdicts: Iterable[Verdict]) -> None:
         """Take over what is stored of all raters."""
         self.stored = tuple(verdicts)
         self._stored_on = {}
         for verdict in self.stored:
             self._stored_on.setdefault(verdict.cell, []).append(verdict)
-        for rater, side in self.sides.items():
-            side.take_verdicts(of_rater(self.stored, rater))
+        for rater, own in self.raters.items():
+            own.take_verdicts(of_rater(self.stored, rater))
 
     def others(self, cell: Cell, rater: str) -> list[Verdict]:
         """Verdicts on a cell by everybody else, in the order of their names."""
-        found = {v.rater: v for v in self._stored_on.get(cell, ()) if v.rater not in self.sides}
-        for name, side in self.sides.items():
-            if cell in side.verdicts:
-                found[name] = side.verdicts[cell]
+        found = {v.rater: v for v in self._stored_on.get(cell, ()) if v.rater not in self.raters}
+        for name, own in self.raters.items():
+            if cell in own.verdicts:
+                found[name] = own.verdicts[cell]
         found.pop(rater, None)
         return [found[name] for name in sorted(found)]
 
     def unstored(self) -> list[tuple[str, Cell]]:
         """Who said something about which cell that is not stored yet."""
-        return [(r, c) for r, side in self.sides.items() for c, n in side.unstored.items() if n]
+        return [(r, c) for r, own in self.raters.items() for c, n in own.unstored.items() if n]
 
-    def without_pending(self) -> Book:
+    def without_pending(self) -> ModuleReview:
         """Return what is said, for another store: nothing waits there yet."""
-        sides = {
-            rater: Side(dict(side.verdicts), dict(side.notes), dict(side.corrected))
-            for rater, side in self.sides.items()
+        raters = {
+            rater: RaterReview(dict(own.verdicts), dict(own.notes), dict(own.corrected))
+            for rater, own in self.raters.items()
         }
-        return Book(self.stored, sides, self._stored_on)
+        return ModuleReview(self.stored, raters, self._stored_on)
