@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,6 +20,7 @@ from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.live.single_frame import FramePanels, contours, frame_panels
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Mask, Subject
+from napari_pv_inspect.tasks.guard import attempt
 from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.widgets.image_panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.widgets.listen import listen
@@ -35,7 +35,6 @@ from pv_inspect.review import Cell
 
 __all__ = ["CellDock", "focus_gallery"]
 
-log = logging.getLogger(__name__)
 
 GALLERY = "Cells"
 NO_FRAMES = "No frames are open: this result folder is looked at without its sequence."
@@ -318,13 +317,8 @@ class CellDock(QWidget):
 def _frame_or_sentence(subject: Subject, cell: Cell) -> tuple[Subject, Cell, FramePanels | str]:
     inspection = subject.inspection
     assert isinstance(inspection, Inspection)
-    try:
-        return subject, cell, frame_panels(inspection, cell)
-    except InspectionError as error:
-        return subject, cell, str(error)
-    except Exception as error:
-        log.exception("the best frame of a cell could not be shown")
-        return subject, cell, f"This failed unexpectedly ({type(error).__name__}: {error})."
+    found = attempt(partial(frame_panels, inspection, cell), "This failed unexpectedly")
+    return subject, cell, str(found) if isinstance(found, InspectionError) else found
 
 
 def _support_colours(support: np.ndarray) -> np.ndarray:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from qtpy.QtCore import QObject, QThreadPool
 from napari_pv_inspect import reader
 from napari_pv_inspect.layers.layer_data import open_sequence
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.tasks.guard import attempt
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
@@ -26,7 +27,6 @@ from pv_inspect.storage.folders import read_steadily
 
 __all__ = ["Opened", "Opener", "open_any", "open_result"]
 
-log = logging.getLogger(__name__)
 
 References = tuple[Path | None, Path | None]
 
@@ -144,7 +144,7 @@ class Opener(QObject):
         self._drop()
         self._ticket += 1
         self._again = work is open_again
-        worker = create_worker(_guarded, self._ticket, work, *given, _start_thread=False)
+        worker = create_worker(_opened, self._ticket, work, *given, _start_thread=False)
         worker.returned.connect(self._on_return)
         self._worker = worker
         worker.start()
@@ -216,13 +216,6 @@ def _always() -> bool:
     return True
 
 
-def _guarded(ticket: int, work: Callable[..., Opened], *given: Any) -> tuple[int, Opened]:
-    try:
-        return ticket, work(*given)
-    except InspectionError as error:
-        return ticket, Opened(trouble=str(error))
-    except Exception as error:
-        log.exception("opening failed")
-        return ticket, Opened(
-            trouble=f"It can't be opened ({type(error).__name__}: {error}): report this, please."
-        )
+def _opened(ticket: int, work: Callable[..., Opened], *given: Any) -> tuple[int, Opened]:
+    opened = attempt(partial(work, *given), "It can't be opened")
+    return ticket, Opened(trouble=str(opened)) if isinstance(opened, InspectionError) else opened

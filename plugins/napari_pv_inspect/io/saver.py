@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+from functools import partial
 from pathlib import Path
 
 from napari.qt.threading import FunctionWorker, create_worker
@@ -10,13 +10,13 @@ from psygnal import Signal
 from qtpy.QtCore import QObject, QThreadPool
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.tasks.guard import attempt
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import write_result
 
 __all__ = ["Saver"]
 
-log = logging.getLogger(__name__)
 
 # What was written, where to, and what went wrong, in a sentence.
 Answer = tuple[Inspection, Path, str]
@@ -81,11 +81,5 @@ class Saver(QObject):
 
 
 def _written(inspection: Inspection, folder: Path) -> Answer:
-    try:
-        write_result(inspection, folder)
-    except InspectionError as error:
-        return inspection, folder, str(error)
-    except Exception as error:
-        log.exception("saving failed")
-        return inspection, folder, f"It was not saved ({type(error).__name__}: {error})."
-    return inspection, folder, ""
+    written = attempt(partial(write_result, inspection, folder), "It was not saved")
+    return inspection, folder, str(written) if isinstance(written, InspectionError) else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from enum import Enum
 from functools import partial
@@ -21,14 +20,13 @@ from napari_pv_inspect.live.cell_renderer import (
 from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import LIVE_FIELDS, Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.tasks.guard import attempt
 from napari_pv_inspect.tasks.newest_request import Job, NewestWins
-from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
 __all__ = ["LiveCell", "Source"]
 
-log = logging.getLogger(__name__)
 
 # A slider that rests so long has settled.
 SETTLE_MS = 400
@@ -179,7 +177,7 @@ class LiveCell(QObject):
                 if self._closed or (shown and superseded()):
                     return
 
-        self._guarded(inspection, work)
+        self._attempt(inspection, work)
         return True
 
     def _render_beside(
@@ -201,7 +199,7 @@ class LiveCell(QObject):
                     done = False
                     return
 
-        self._guarded(inspection, work)
+        self._attempt(inspection, work)
         return done
 
     def _rectify(
@@ -215,18 +213,13 @@ class LiveCell(QObject):
         def work() -> None:
             self._tell(inspection, key, bicubic_cell(inspection, cell, magnification))
 
-        self._guarded(inspection, work)
+        self._attempt(inspection, work)
         return True
 
-    def _guarded(self, inspection: Inspection, work: Callable[[], None]) -> None:
-        try:
-            work()
-        except InspectionError as error:
-            self._tell(inspection, None, str(error))
-        except Exception as error:
-            log.exception("the live cell failed")
-            sentence = f"This cell can't be shown ({type(error).__name__}: {error})."
-            self._tell(inspection, None, sentence)
+    def _attempt(self, inspection: Inspection, work: Callable[[], None]) -> None:
+        failure = attempt(work, "This cell can't be shown")
+        if failure is not None:
+            self._tell(inspection, None, str(failure))
 
     def _tell(self, inspection: Inspection, key: Key | None, what: CellPicture | str) -> None:
         if not self._closed:

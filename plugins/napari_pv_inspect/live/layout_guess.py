@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import logging
+from functools import partial
 
 from napari.qt.threading import create_worker
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from napari_pv_inspect.tasks.guard import attempt
 from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.errors import InspectionError
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
 __all__ = ["LayoutGuesser"]
-
-log = logging.getLogger(__name__)
 
 
 class LayoutGuesser:
@@ -60,10 +59,6 @@ class LayoutGuesser:
 
 
 def _guess_or_none(sequence: FrameSequence, settings: Settings) -> LayoutGuess | None:
-    try:
-        return guess_layout(sequence, settings, settings.module_at)
-    except InspectionError:
-        return None
-    except Exception:
-        log.exception("rows and columns could not be guessed")
-        return None
+    work = partial(guess_layout, sequence, settings, settings.module_at)
+    guess = attempt(work, "Rows and columns could not be guessed")
+    return None if isinstance(guess, InspectionError) else guess

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -10,11 +9,9 @@ from typing import Any
 from napari.qt.threading import create_worker
 from qtpy.QtCore import QObject, QTimer
 
-from pv_inspect.errors import InspectionError
+from napari_pv_inspect.tasks.guard import attempt
 
 __all__ = ["NewestAnswer"]
-
-log = logging.getLogger(__name__)
 
 
 class NewestAnswer(QObject):
@@ -84,11 +81,4 @@ class NewestAnswer(QObject):
 
 
 def _answer(number: int, work: Callable[[], Any]) -> tuple[int, Any]:
-    try:
-        return number, work()
-    except InspectionError as error:
-        return number, error
-    except Exception as error:
-        log.exception("work in a background thread failed")
-        text = f"This failed unexpectedly ({type(error).__name__}: {error})."
-        return number, InspectionError(text)
+    return number, attempt(work, "This failed unexpectedly")

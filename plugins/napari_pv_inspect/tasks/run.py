@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,7 @@ from napari.qt.threading import GeneratorWorker
 from qtpy.QtCore import QObject, QThreadPool
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
+from napari_pv_inspect.tasks.guard import explained
 from pv_inspect import pipeline
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection, Step
@@ -19,8 +19,6 @@ from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Outcome", "RunController"]
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -51,12 +49,9 @@ def pipeline_steps(
             yield step
             if until is not None and _past(step, until):
                 return Outcome()
-    except InspectionError as error:
-        return Outcome(failure=str(error))
     except Exception as error:
         # A worker that lets a RuntimeError through never reports its end.
-        log.exception("the run failed")
-        return Outcome(failure=f"The run failed unexpectedly ({type(error).__name__}: {error}).")
+        return Outcome(failure=str(explained(error, "The run failed unexpectedly")))
     finally:
         steps.close()
 

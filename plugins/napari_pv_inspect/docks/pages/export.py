@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from napari.qt.threading import create_worker
@@ -19,6 +20,7 @@ from qtpy.QtWidgets import (
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.review.model import ReviewModel
+from napari_pv_inspect.tasks.guard import attempt
 from napari_pv_inspect.widgets.listen import listen
 from pv_inspect.errors import InspectionError
 from pv_inspect.results.read import read_result
@@ -134,10 +136,12 @@ class ExportBox(QGroupBox):
 
 
 def _export(folder: Path) -> tuple[str, bool]:
-    """Write both files; returns a sentence and whether it is bad news."""
-    try:
-        with ReviewStore(folder) as store:
-            table, page = export_review(read_result(folder), store)
-    except InspectionError as error:
-        return str(error), True
-    return f"Wrote {table.name} and {page.name} into {folder}.", False
+    """Write both files; returns a sentence and whether it says that they could not be written."""
+    said = attempt(partial(_write_both, folder), "The report was not written")
+    return str(said), isinstance(said, InspectionError)
+
+
+def _write_both(folder: Path) -> str:
+    with ReviewStore(folder) as store:
+        table, page = export_review(read_result(folder), store)
+    return f"Wrote {table.name} and {page.name} into {folder}."
