@@ -43,7 +43,7 @@ class Paints(QObject):
 
 
 def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
-    """HeldOutPixels cells by keys, then walk through them in the large view."""
+    """Judge cells by keys, then walk through them in the large view."""
     viewer, dock = opened(options.sequence)
     workbench = dock.workbench
     workbench.model.confirm_layout()

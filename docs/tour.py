@@ -250,7 +250,7 @@ def save(expert: Expert, folder: Path) -> None:
 
 
 def judge(expert: Expert) -> None:
-    """HeldOutPixels cells with the keyboard, and note something about one."""
+    """Judge cells with the keyboard, and note something about one."""
     assert expert.dock.steps.next.text() == "Review cells"
     expert.click(expert.dock.steps.next)
     state, box, gallery = expert.workbench.review.state, expert.dock.verdict, expert.cells

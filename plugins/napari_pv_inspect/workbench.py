@@ -1,4 +1,4 @@
-"""One workbench per viewer: model, layers and controllers, tied together and let go together."""
+"""One workbench per viewer: makes, connects and closes its model, layers and controllers."""
 
 from __future__ import annotations
 

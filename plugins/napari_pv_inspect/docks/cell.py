@@ -252,7 +252,7 @@ class CellDock(QWidget):
         self.caption.setText("  |  ".join(text.splitlines()))
         self.caption.setToolTip(text)
 
-    # The best frame: read and rectified in the background; only the newest wish counts.
+    # The best frame: read and rectified in the background; only the newest request counts.
 
     def _ask_for_frame(self) -> None:
         subject, cell = self._review.subject, self._cell

@@ -33,7 +33,7 @@ References = tuple[Path | None, Path | None]
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """What a path turned out to hold.
+    """What was found at a path.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def open_again(sequence: FrameSequence, settings: Settings) -> Opened:
 
 
 class Opener(QObject):
-    """Opens one thing at a time; the newest wish wins, and what comes too late is dropped.
+    """Opens one path at a time; only the newest request counts.
 
     Attributes
     ----------

@@ -51,7 +51,7 @@ class Saver(QObject):
         return True
 
     def close(self) -> tuple[Inspection, Path] | None:
-        """Wait for what is being written; nobody is told any more.
+        """Wait for what is being written; `saved` is not emitted any more.
 
         Returns
         -------

@@ -50,7 +50,7 @@ class FramesLayer:
         return True
 
     def close(self) -> None:
-        """Let go of the viewer."""
+        """Disconnect from the viewer."""
         self._viewer.dims.events.current_step.disconnect(self._on_step)
 
     @property

@@ -1,4 +1,4 @@
-"""Crossing points over the frames, in three looks; what a person does to them becomes edits."""
+"""Crossing points over the frames, which the user can edit: measured, predicted, edited."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class PointsLayer:
         viewer.dims.events.current_step.connect(self._on_step)
 
     def close(self) -> None:
-        """Let go of the viewer."""
+        """Disconnect from the viewer."""
         self._viewer.dims.events.current_step.disconnect(self._on_step)
 
     @property
@@ -128,7 +128,7 @@ class PointsLayer:
             layer.editable = state is RunState.IDLE
 
     def _on_step(self, _: object = None) -> None:
-        """Leave what was selected, or half dragged, in the frame that is left."""
+        """Drop selection and unfinished drags when another frame is shown."""
         layer, frame = self._slot.layer, self._frames.frame
         # The event comes too when a point beyond the others widens the range of rows or columns.
         if layer is None or self._marks is None or frame == self._frame:
@@ -235,7 +235,7 @@ class PointsLayer:
             self._restore()
 
     def _restore(self) -> None:
-        """Draw again unless the layer shows just what the editor made of the change."""
+        """Draw again unless the layer shows what the editor made of the change."""
         marks, layer = self._marks, self._layer
         if marks is None or layer is None or not np.array_equal(layer.data, marks.points):
             self._draw(anew=True)

@@ -34,7 +34,7 @@ KEPT = 64
 
 
 class Source(Enum):
-    """What can be seen of a cell, beside the trials."""
+    """Pictures of a cell that are no trials."""
 
     LIVE = "live"
     BICUBIC = "bicubic, best frame"
@@ -47,7 +47,7 @@ Key = tuple[object, ...]
 
 
 class LiveCell(QObject):
-    """Asks for pictures of the selected cell while somebody looks.
+    """Renders pictures of the selected cell while its dock is visible.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class LiveCell(QObject):
         return default_cell(inspection)
 
     def set_active(self, active: bool) -> None:
-        """Say whether somebody looks: nothing is computed for nobody."""
+        """Say whether the dock is visible; else nothing is computed."""
         self.active = active
         if active:
             self._ask()
@@ -262,7 +262,7 @@ class LiveCell(QObject):
 
     def _on_rest(self) -> None:
         if QApplication.mouseButtons() != Qt.MouseButton.NoButton:
-            # The hand is still on the slider.
+            # The slider is still being dragged.
             self._settle.start()
         else:
             self.settle()

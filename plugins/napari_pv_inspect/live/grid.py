@@ -124,7 +124,7 @@ class LiveKappa:
         viewer.dims.events.current_step.connect(self._on_step)
 
     def close(self) -> None:
-        """Let go of the viewer."""
+        """Disconnect from the viewer."""
         self._soon.stop()
         self._throttled.cancel()
         self._viewer.dims.events.current_step.disconnect(self._on_step)

@@ -17,7 +17,7 @@ __all__ = ["LayoutGuesser"]
 
 
 class LayoutGuesser:
-    """Offers the model a layout for each sequence whose rows and columns are unknown."""
+    """Guesses the layout of each sequence whose rows and columns are unknown."""
 
     def __init__(self, model: WorkbenchModel) -> None:
         self._model = model

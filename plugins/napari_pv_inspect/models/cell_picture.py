@@ -17,7 +17,7 @@ Cell = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class CellPicture:
-    """A cell as it looks in some way.
+    """A picture of a cell with its caption and the settings that it was made with.
 
     Attributes
     ----------

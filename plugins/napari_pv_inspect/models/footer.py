@@ -1,4 +1,4 @@
-"""What the footer says about the result that is shown: doubts first, then the cells. No Qt."""
+"""Text of the footer about the shown result: doubts first, then the cells. No Qt."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Facts:
 
 
 def facts_of(model: WorkbenchModel) -> Facts:
-    """Return what is to be said about the inspection, or the result folder, open."""
+    """Return what the footer says about the open inspection or result folder."""
     if model.why_hidden:
         return Facts(numbers=model.why_hidden)
     if model.inspection is not None:
@@ -49,7 +49,7 @@ def facts_of(model: WorkbenchModel) -> Facts:
 
 
 def _is_earlier(model: WorkbenchModel) -> bool:
-    """Whether the last run failed, and what is shown is not what it was to bring."""
+    """Whether the last run failed, so that an earlier result is shown."""
     return model.failure is not None and bool(model.to_do - {Stage.LOAD})
 
 

@@ -14,7 +14,7 @@ DEPTH = 500
 
 @dataclass(frozen=True, eq=False)
 class Action:
-    """An edit and the way back.
+    """An edit and how to undo it.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What was tried while tuning: settled settings with a picture each, undo of them. No Qt."""
+"""Trials of the tuning: settings with a picture each, and undo of their changes. No Qt."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Trial:
 
 
 class Tuning:
-    """The trials, and the way of a settled change into the undo history.
+    """The trials; a change of the settings that is finished becomes an action of the history.
 
     While a slider moves nothing is noted; `settle` is called once it rests.
 
@@ -134,14 +134,14 @@ class Tuning:
             )
 
     def take_in(self, trials: tuple[Trial, ...]) -> None:
-        """Go on from the trials of an earlier session."""
+        """Continue from the trials of an earlier session."""
         self.trials = trials[-DEPTH:]
         self._count = max((trial.number for trial in trials), default=0)
         self.current = self.previous = None
         self.changed.emit()
 
     def pictured(self, picture: CellPicture) -> None:
-        """Take in a picture of the live cell."""
+        """Receive a picture of the live cell."""
         if picture.finished and picture.settings is not None:
             self._newest = picture
             self._note()

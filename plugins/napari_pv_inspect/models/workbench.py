@@ -36,14 +36,14 @@ class RunState(Enum):
 
 @dataclass(frozen=True)
 class Failure:
-    """Why the last run came to no end, and in which stage."""
+    """Why the last run failed, and in which stage."""
 
     stage: Stage
     why: str
 
 
 class WorkbenchModel:
-    """The sequence open and all that was found out about it.
+    """The open sequence and all that was found out about it.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class WorkbenchModel:
         )
 
     def open(self, sequence: FrameSequence) -> None:
-        """Put another sequence open; settings about the module come from its sidecar."""
+        """Open another sequence; settings about the module come from its sidecar."""
         hint = {
             k: v for k, v in sequence.layout_hint.items() if k in {"rows", "cols", "cell_aspect"}
         }
@@ -149,14 +149,14 @@ class WorkbenchModel:
         self._put(sequence, self.settings.changed(**{**unknown, **frames, **hint}))
 
     def reopen(self, sequence: FrameSequence) -> None:
-        """Put the same frames open, read in another way; the settings stay."""
+        """Take over the same frames, read in another way; the settings stay."""
         guess = self.guess
         self._put(sequence, self.settings)
         self.guess = guess
         self.settings_changed.emit(self.settings)
 
     def restore(self, inspection: Inspection, result: Result) -> None:
-        """Put an inspection out of a result folder open, with its settings."""
+        """Open an inspection out of a result folder, with its settings."""
         settings = _with_layout(inspection.settings, inspection.layout)
         self._put(inspection.sequence, settings)
         self.result = result
@@ -177,14 +177,14 @@ class WorkbenchModel:
         self.inspection_changed.emit(None)
 
     def offer_layout(self, sequence: FrameSequence, guess: LayoutGuess | None) -> None:
-        """Take a guess over into the settings, unless a person was faster.
+        """Enter a guessed layout into the settings, unless the user has given one.
 
         Parameters
         ----------
         sequence : FrameSequence
             What was guessed from; another one that is open by now makes the guess void.
         guess : LayoutGuess or None
-            None: the frames do not tell.
+            None: the layout can't be guessed from the frames.
         """
         if sequence is self.sequence:
             self.guessing = False
@@ -225,7 +225,7 @@ class WorkbenchModel:
             self.cell_selected.emit(cell)
 
     def open_result(self, result: Result, why: str = FRAMES_GONE) -> None:
-        """Look at a result folder without its frames; its settings go into the controls.
+        """Show a result folder without its frames; its settings go into the controls.
 
         Parameters
         ----------
@@ -249,13 +249,13 @@ class WorkbenchModel:
             self.settings_changed.emit(settings)
 
     def revise(self, inspection: Inspection) -> None:
-        """Show what a person made of the inspection; the next run resumes from it."""
+        """Show an inspection that the user has changed; the next run resumes from it."""
         if self.run_state is RunState.IDLE:
             self.inspection, self.draft = inspection, None
             self.inspection_changed.emit(inspection)
 
     def notice(self, text: str, is_error: bool = False) -> None:
-        """Tell the user one sentence."""
+        """Show the user one sentence."""
         self.noticed.emit(text, is_error)
 
     def begin_run(self, until: Stage | None = None) -> Inspection | None:
@@ -294,7 +294,7 @@ class WorkbenchModel:
         return self.run_state is not RunState.IDLE and self.settings != self.run_settings
 
     def absorb(self, step: Step) -> None:
-        """Take in what one step of the pipeline brought."""
+        """Take over the part of the inspection that one step of a run has made."""
         self.running_stage = step.stage
         self.progress_changed.emit(step.fraction, step.message)
         if step.partial is None or self.draft is None:
@@ -346,7 +346,7 @@ def _position(stage: Stage) -> int:
 
 
 def _with_layout(settings: Settings, layout: ModuleLayout) -> Settings:
-    """What was guessed then is known now."""
+    """Return the settings with a layout, which counts as known."""
     return settings.changed(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
 
 

@@ -1,4 +1,4 @@
-"""Ties the review to the workbench: what is reviewed, when to take in what was stored, the end."""
+"""Connects the review to the workbench: what is reviewed, when it is stored, the end."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LITTLE_PATIENCE_S = 0.3
 
 
 class Reviewer(QObject):
-    """Keeps the review of what the workbench shows.
+    """Controls the review of the cells that the workbench shows.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Reviewer(QObject):
                 self._model.select_cell(other)
 
     def set_rater(self, rater: str) -> None:
-        """HeldOutPixels as somebody else, also in the next session."""
+        """Judge as somebody else, also in the next session."""
         self.state.set_rater(rater)
         self._memory.setValue("rater", self.state.rater)
 
@@ -142,7 +142,7 @@ class Reviewer(QObject):
         return not self.state.pending or self._close_anyway
 
     def close(self) -> None:
-        """Let go of the model."""
+        """Disconnect from the model."""
         self._collecting.stop()
         self._remembering.stop()
         for signal, slot in self._signals:

@@ -1,4 +1,4 @@
-"""What a review does with its store, in the thread that may wait for the disk. No Qt, no napari."""
+"""Reads and writes of a review in its store, done in the journal's thread. No Qt, no napari."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ class TakeOver:
         self._here: set[tuple[str, Cell]] | None = None
 
     def __call__(self, store: ReviewStore) -> str:
-        """Do it; it may be done again if it fails."""
+        """Copy the review; if it fails it may be called again."""
         if self._here is None:
             self._here = set(store.contents().said)
         differ: set[tuple[str, Cell]] = set()

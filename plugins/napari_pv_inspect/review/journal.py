@@ -33,7 +33,7 @@ class _Entry:
 
 
 class Journal:
-    """Line of things to store in a result folder.
+    """Queue of things to store in a result folder.
 
     Until there is a folder they wait.
 
@@ -87,7 +87,7 @@ class Journal:
         return self._failing
 
     def submit(self, job: Job, done: Done) -> None:
-        """Put something at the end of the line; ``done`` gets what it returned."""
+        """Put something at the end of the queue; ``done`` gets what it returned."""
         with self._changed:
             self._line.append(_Entry(job, done))
             self._changed.notify_all()
@@ -137,7 +137,7 @@ class Journal:
             return not self._line
 
     def close(self, give_up: bool) -> None:
-        """End the thread as soon as the line is empty; ``give_up``: also if storing fails."""
+        """End the thread as soon as the queue is empty; ``give_up``: also if storing fails."""
         with self._changed:
             self._closing = self._hurry = True
             self._giving_up = give_up

@@ -20,13 +20,13 @@ __all__ = ["EVERY", "ReviewModel"]
 
 
 class ReviewModel(StoredReview):
-    """What is reviewed and what was said about it: verdicts, notes, corrected marks.
+    """The reviewed module with its verdicts, notes and corrected marks.
 
     Every edit is an action of the history; what is shown never waits for the store.
     """
 
     def give(self, cell: Cell, kind: VerdictKind) -> None:
-        """HeldOutPixels a cell; the note that waits for it goes with it."""
+        """Judge a cell; the note that waits for it goes with it."""
         known, note = self.verdict(cell), self.note(cell)
         if known is None or known.kind is not kind:
             self._give(cell, kind, note, f"Verdict {kind.label}")

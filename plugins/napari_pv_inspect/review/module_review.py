@@ -15,7 +15,7 @@ __all__ = ["ModuleReview", "RaterReview"]
 
 @dataclass
 class RaterReview:
-    """What one rater says.
+    """The verdicts, notes and marks of one rater.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class RaterReview:
 
 @dataclass
 class ModuleReview:
-    """What is said about the cells of one module.
+    """The verdicts, notes and marks of all raters on one module.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class ModuleReview:
     _stored_on: dict[Cell, list[Verdict]] = field(default_factory=dict)
 
     def rater_review(self, rater: str) -> RaterReview:
-        """What a rater says; begun with what is stored."""
+        """Return the review of a rater; a new one begins with what is stored."""
         if rater not in self.raters:
             self.raters[rater] = RaterReview(of_rater(self.stored, rater))
         return self.raters[rater]

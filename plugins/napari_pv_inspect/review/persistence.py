@@ -151,7 +151,7 @@ class StoredReview(ReviewView):
             self._reload()
 
     def set_rater(self, rater: str) -> None:
-        """HeldOutPixels as somebody else; an empty name changes nothing."""
+        """Judge as somebody else; an empty name changes nothing."""
         rater = rater.strip()
         if not rater or rater == self.rater:
             return

@@ -30,7 +30,7 @@ EVERY: tuple[VerdictKind | None, ...] = (None, *VerdictKind)
 
 
 class ReviewView:
-    """Questions about a review, as one rater sees it.
+    """A review as one rater sees it.
 
     Attributes
     ----------

@@ -160,14 +160,14 @@ class SwipeView(QWidget):
             super().keyPressEvent(event)
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:  # noqa: N802 (Qt's name)
-        """Letting the space bar go shows both again."""
+        """Show both pictures again when the space bar is released."""
         if event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self._hold(False)
         else:
             super().keyReleaseEvent(event)
 
     def focusOutEvent(self, event: QFocusEvent) -> None:  # noqa: N802 (Qt's name)
-        """A space bar that is let go elsewhere is let go."""
+        """Show both pictures again: the release of the space bar may go to another widget."""
         self._hold(False)
         super().focusOutEvent(event)
 

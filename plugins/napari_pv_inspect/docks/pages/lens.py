@@ -1,4 +1,4 @@
-"""Distortion of the lens: fitted, set by hand while the grid bends, or loaded from a file."""
+"""Distortion of the lens: fitted, set with a slider, or loaded from a file."""
 
 from __future__ import annotations
 
