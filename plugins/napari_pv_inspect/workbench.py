@@ -14,7 +14,7 @@ from psygnal import Signal
 from qtpy.QtCore import QEvent, QObject, Qt, QTimer
 from superqt.utils import qthrottled
 
-from napari_pv_inspect.io.drops import DropTaker
+from napari_pv_inspect.io.drops import DropHandler
 from napari_pv_inspect.io.opener import Opener
 from napari_pv_inspect.io.saver import Saver
 from napari_pv_inspect.layers.corrections import CorrectionLayers
@@ -114,13 +114,13 @@ class Workbench(QObject):
         self.opener.result_opened.connect(self._on_result)
         self.saver.saved.connect(self._on_saved)
         self.shortcuts: Shortcuts | None = None
-        self._drops: DropTaker | None = None
+        self._drops: DropHandler | None = None
         if self._main_window is not None:
             # The controls keep their height when the gallery comes.
             self._main_window.setCorner(
                 Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
             )
-            self._drops = DropTaker(canvas_area(self._main_window), self.open)
+            self._drops = DropHandler(canvas_area(self._main_window), self.open)
             self._main_window.installEventFilter(self)
             # `viewer.close()` closes the canvas first: without it no question can be asked.
             canvas_area(self._main_window).installEventFilter(self)

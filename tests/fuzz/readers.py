@@ -108,9 +108,9 @@ def _settings(folder: Path, _: Args) -> None:
 
 
 def _preset(folder: Path, args: Args) -> None:
-    from napari_pv_inspect.models.presets import PresetShelf
+    from napari_pv_inspect.models.presets import PresetStore
 
-    shelf = PresetShelf(folder / "presets")
+    shelf = PresetStore(folder / "presets")
     for name in shelf.names():
         _check_settings(shelf.read(name))
     name = shelf.save(args[0], _default_settings())

@@ -367,16 +367,16 @@ def test_the_view_is_fitted_once_the_canvas_has_its_size(
     workbench: Bench, monkeypatch: pytest.MonkeyPatch, qtbot: Any
 ) -> None:
     _, dock, _ = workbench
-    workbench, fitted = dock.workbench, []
-    qtbot.waitUntil(lambda: not workbench._fit_timer.isActive(), timeout=LONG_MS)
-    canvas = workbench.viewer.canvas
-    monkeypatch.setattr(workbench.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
+    own, fitted = dock.workbench, []
+    qtbot.waitUntil(lambda: not own._fit_timer.isActive(), timeout=LONG_MS)
+    canvas = own.viewer.canvas
+    monkeypatch.setattr(own.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
     for _ in range(2):  # when it is made, and when it comes back
-        show_live_cell(workbench, dock)
+        show_live_cell(own, dock)
         canvas.size = (300, 400)
-        workbench._fit()
+        own._fit()
         canvas.size = (300, 280)
-        workbench._fit()
+        own._fit()
         assert fitted == []
         qtbot.waitUntil(lambda: bool(fitted), timeout=LONG_MS)
         fitted.clear()

@@ -10,7 +10,7 @@ from qtpy.QtWidgets import QInputDialog, QMenu, QMessageBox
 
 from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.models.history import History
-from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
+from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetStore, read_preset, write_preset
 from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
@@ -39,7 +39,7 @@ def test_a_preset_that_can_not_be_written_leaves_the_old_one(tmp_path: Path) -> 
 
 
 def test_presets_are_kept_by_name(tmp_path: Path) -> None:
-    shelf = PresetShelf(tmp_path / "not" / "yet")
+    shelf = PresetStore(tmp_path / "not" / "yet")
     assert shelf.names() == []
     assert shelf.save("  Für Modul 4, scharf & fein ", SHARP) == "Für Modul 4, scharf & fein"
     shelf.save("coarse", Settings(magnification=2.0))
@@ -51,7 +51,7 @@ def test_presets_are_kept_by_name(tmp_path: Path) -> None:
 
 
 def test_the_same_name_in_capitals_replaces_a_preset(tmp_path: Path) -> None:
-    shelf = PresetShelf(tmp_path)
+    shelf = PresetStore(tmp_path)
     shelf.save("sharp", Settings())
     assert shelf.known(" SHARP ") == "sharp"
     shelf.save("Sharp", SHARP)
@@ -64,7 +64,7 @@ def test_the_same_name_in_capitals_replaces_a_preset(tmp_path: Path) -> None:
 )
 def test_a_name_that_no_file_can_have_is_one_sentence(name: str, tmp_path: Path) -> None:
     with pytest.raises(InspectionError, match="A preset can't be called"):
-        PresetShelf(tmp_path).save(name, SHARP)
+        PresetStore(tmp_path).save(name, SHARP)
     assert not list(tmp_path.iterdir())
 
 
@@ -73,7 +73,7 @@ def menu(qtbot: Any, tmp_path: Path) -> PresetMenu:
     """The button with an empty shelf."""
     model = WorkbenchModel()
     button = PresetMenu(model, Tuning(model, History()))
-    button.shelf = PresetShelf(tmp_path)
+    button.shelf = PresetStore(tmp_path)
     qtbot.addWidget(button)
     return button
 

@@ -285,4 +285,4 @@ def test_who_holds_something_typed_is_asked_before_the_rater_changes(make: Make)
     review.flush_wanted.connect(lambda: review.write_note((2, 2), "in the line"))
     review.set_rater("Ben")
     assert review.note((2, 2)) == ""
-    assert review._book.side("Ada").notes == {(2, 2): "in the line"}
+    assert review._module_review.rater_review("Ada").notes == {(2, 2): "in the line"}

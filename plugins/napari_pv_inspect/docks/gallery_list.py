@@ -14,7 +14,7 @@ from pv_inspect.cracks import CellState
 from pv_inspect.cracks.wording import tooltip
 from pv_inspect.review import Cell, Verdict, VerdictKind
 
-__all__ = ["BAR", "GAP", "CellList", "TileDelegate", "cell_text", "ink_on"]
+__all__ = ["BAR", "GAP", "CellList", "TileDelegate", "cell_text", "text_colour_on"]
 
 BAR = 16
 GAP = 6
@@ -183,7 +183,7 @@ class TileDelegate(QStyledItemDelegate):
         painter.fillRect(bar, colour)
         if pending:  # hatched until it is stored
             painter.fillRect(bar, Qt.BrushStyle.BDiagPattern)
-        painter.setPen(ink_on(colour))
+        painter.setPen(text_colour_on(colour))
         text = f"{name}  {_SHORT.get(verdict.kind, verdict.kind.label)}"
         painter.drawText(bar, Qt.AlignmentFlag.AlignCenter, text)
 
@@ -210,7 +210,7 @@ def cell_text(review: ReviewModel, cell: Cell) -> str:
     return "\n".join(lines)
 
 
-def ink_on(colour: QColor) -> QColor:
+def text_colour_on(colour: QColor) -> QColor:
     """Black or white, whichever is read better on a colour."""
     light = 0.299 * colour.red() + 0.587 * colour.green() + 0.114 * colour.blue()
     return QColor("black" if light > 110 else "white")
@@ -241,7 +241,7 @@ def _paint_other(painter: QPainter, x: int, y: int, verdict: Verdict) -> None:
     font = painter.font()
     font.setPixelSize(9)
     painter.setFont(font)
-    painter.setPen(ink_on(colour))
+    painter.setPen(text_colour_on(colour))
     painter.drawText(box, Qt.AlignmentFlag.AlignCenter, verdict.kind.key.upper())
 
 

@@ -15,7 +15,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetShelf, read_preset, write_preset
+from napari_pv_inspect.models.presets import PRESET_FIELDS, PresetStore, read_preset, write_preset
 from napari_pv_inspect.models.trials import Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
@@ -43,7 +43,7 @@ class PresetMenu(QPushButton):
         super().__init__("Presets", parent)
         self._model = model
         self._tuning = tuning
-        self.shelf = PresetShelf()
+        self.shelf = PresetStore()
         self.setToolTip(
             "Settings of this page by name, for all modules: apply one, save those shown now, or "
             "go back to what is found automatically. The module's own settings stay."

@@ -16,13 +16,13 @@ from qtpy.QtWidgets import QWidget
 
 from napari_pv_inspect.reader import get_reader
 
-__all__ = ["DropTaker"]
+__all__ = ["DropHandler"]
 
 # What makes a folder one array, which napari's own readers know.
 ZARR = (".zarray", ".zgroup", ".zattrs", "zarr.json")
 
 
-class DropTaker(QObject):
+class DropHandler(QObject):
     """Hands drops on a widget, and on all that lie on it, to the workbench.
 
     Parameters

@@ -12,7 +12,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import replace_file
 
-__all__ = ["PRESET_FIELDS", "PresetShelf", "read_preset", "write_preset"]
+__all__ = ["PRESET_FIELDS", "PresetStore", "read_preset", "write_preset"]
 
 PRESET_FIELDS = (*IMAGE_FIELDS, "second_pass", "max_iterations", "detector", "crack_threshold")
 """Fields of a preset: nothing about one module, its frames or its camera."""
@@ -48,7 +48,7 @@ def read_preset(path: Path) -> Settings:
     return Settings.from_toml(path)
 
 
-class PresetShelf:
+class PresetStore:
     """The user's presets by name, one file each.
 
     Parameters

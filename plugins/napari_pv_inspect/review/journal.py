@@ -1,4 +1,4 @@
-"""What a review stores, one thing after the other in a thread of its own. No Qt, no napari.
+"""A queue of writes to the store of a review, in a thread of its own. No Qt, no napari.
 
 Storing waits for the disk, so that no other thread may do it. What can't be stored stays first in
 the line and is tried again: nothing that was submitted is skipped or overtaken.

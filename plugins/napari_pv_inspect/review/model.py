@@ -1,4 +1,4 @@
-"""The review: what is said about the cells, so that it can be taken back. No Qt, no napari.
+"""The review: verdicts, notes and corrected marks of the cells, undoable. No Qt, no napari.
 
 All signals are emitted in the main thread, those about stored things by `collect`.
 """

@@ -88,7 +88,7 @@ class SettingSlider(QWidget):
         self.slider.valueChanged.connect(self._on_slider)
         self.number.valueChanged.connect(self._on_number)
 
-    def put_in_head(self, widget: QWidget) -> None:
+    def add_to_header(self, widget: QWidget) -> None:
         """Place a widget beside the number; the tab key comes to it first."""
         self._head.insertWidget(self._head.count() - 1, widget)
         QWidget.setTabOrder(self.number, widget)

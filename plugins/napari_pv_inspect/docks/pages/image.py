@@ -98,8 +98,8 @@ class ImageBox(QGroupBox):
         self._on_inspection()
 
     def _arrange(self) -> None:
-        self.prior_weight.put_in_head(self.automatic)
-        self.psf_sigma.put_in_head(self.estimated)
+        self.prior_weight.add_to_header(self.automatic)
+        self.psf_sigma.add_to_header(self.estimated)
         prior = QHBoxLayout()
         label = QLabel("Prior")
         label.setBuddy(self.prior)

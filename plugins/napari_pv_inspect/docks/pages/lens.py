@@ -62,7 +62,7 @@ class LensBox(QGroupBox):
         self.clear = QToolButton()
         self.clear.setText("x")
         self.clear.setToolTip("Forget the camera file: the camera is fitted again.")
-        self.kappa.put_in_head(self.fit)
+        self.kappa.add_to_header(self.fit)
         files = QHBoxLayout()
         files.addWidget(self.load)
         files.addWidget(self.save)
