@@ -16,7 +16,7 @@ FRAME, CROSSING = 2, 6
 
 @pytest.fixture
 def detected(workbench: Any, replayed: Any) -> tuple[Any, Any, Any, int]:
-    """Viewer, dock, points layer and the row of a crossing that is held by the hand."""
+    """Viewer, dock, points layer and the row of a crossing that is dragged."""
     viewer, dock, _ = workbench
     dock.workbench.live_cell.settle()
     dock.workbench.history.clear()
@@ -63,7 +63,9 @@ def test_the_grid_and_the_residual_follow_a_point_before_it_is_let_go(
     assert dock.workbench.history.undo_text is None
 
 
-def test_the_grid_under_the_hand_is_the_one_that_the_edit_has(detected: Any, qtbot: QtBot) -> None:
+def test_the_grid_of_a_dragged_point_is_the_one_that_the_edit_has(
+    detected: Any, qtbot: QtBot
+) -> None:
     viewer, dock, layer, row = detected
     before = lines(viewer)
     drag_on(layer, row, (1.0, 1.0))
@@ -102,7 +104,7 @@ def test_a_drag_that_is_taken_back_leaves_the_fitted_grid(detected: Any, qtbot: 
     assert "dragged" not in dock.lens.residual.text()
 
 
-def test_closing_the_window_with_a_point_in_the_hand_works(detected: Any, qtbot: QtBot) -> None:
+def test_closing_the_window_while_a_point_is_dragged_works(detected: Any, qtbot: QtBot) -> None:
     _, dock, layer, row = detected
     drag_on(layer, row, (2.0, 2.0))
     drag_on(layer, row, (1.0, 0.0))
