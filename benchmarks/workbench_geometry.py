@@ -113,7 +113,7 @@ def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Ge
         times.add("held", heart.longest_ms)
         times.add("held cpu", 1e3 * (time.thread_time() - cpu))
     if dock.workbench.live.dragged_rms_px is None:
-        sys.exit("The grid did not follow the point under the hand.")
+        sys.exit("The grid did not follow the dragged point.")
     QTest.mouseRelease(canvas, Qt.MouseButton.LeftButton)
     settle(2.0)
 
