@@ -314,15 +314,15 @@ def read_steadily(folder: Path, read: Callable[[], T]) -> T:
     """
     end = monotonic() + _READING_S
     while True:
-        before = _identity(recovered(folder))
+        before = _state(recovered(folder))
         last = monotonic() > end
         try:
             found = read()
         except InspectionError:
-            if last or _identity(folder) == before:
+            if last or _state(folder) == before:
                 raise
         else:
-            if last or _identity(folder) == before:
+            if last or _state(folder) == before:
                 return found
 
 
@@ -355,6 +355,15 @@ def _identity(folder: Path) -> Identity:
     except OSError:
         return None
     return found.st_dev, found.st_ino
+
+
+def _state(folder: Path) -> tuple[int, ...] | None:
+    """Identity of a folder and of its entries: a number that is free again may be given anew."""
+    try:
+        found = folder.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino, found.st_mtime_ns
 
 
 def _write_file(path: Path, content: bytes) -> None:

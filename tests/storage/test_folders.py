@@ -583,3 +583,30 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path: Path) -> None:
     assert (tmp_path / "link").is_symlink()
     assert whole(tmp_path / "real") == "new"
     assert output_folder(tmp_path / "link") == tmp_path / "real"
+
+
+def test_a_reader_is_not_deceived_by_a_folder_with_the_number_of_the_old_one(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder that was replaced twice may have the inode that the reader has seen first."""
+    real = Path.stat
+
+    def same_number(self: Path, **options: bool) -> os.stat_result:
+        found = list(real(self, **options))
+        if self == out:
+            found[1] = 7
+        times = real(self, **options)
+        return os.stat_result(found, {"st_mtime_ns": times.st_mtime_ns})
+
+    def read() -> str:
+        first = (out / NAMES[0]).read_text()
+        if first == "old":
+            monkeypatch.undo()
+            fill(out, "new")
+            monkeypatch.setattr(Path, "stat", same_number)
+        if (out / NAMES[1]).read_text() != first:
+            raise InspectionError("a mixture")
+        return first
+
+    monkeypatch.setattr(Path, "stat", same_number)
+    assert read_steadily(out, read) == "new"
