@@ -48,7 +48,7 @@ format: $(INSTALLED) ## format all files and mend what ruff can
 	$(PYTHON) -m ruff format .
 
 test-core: $(INSTALLED) ## tests of the core; no Qt
-	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin --durations=10
+	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin -n 2 --durations=10
 
 test-plugin: $(INSTALLED) ## tests of the workbench without a window
 	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin -n 2 --durations=5
