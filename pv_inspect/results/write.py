@@ -97,8 +97,18 @@ def _json(record: dict[str, Any]) -> bytes:
 
 def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:
     px, py = grid.pixels_per_cell
-    buffer = io.BytesIO()
+    about = f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width"
     # No physical cell size is known: the resolution is stated in pixels per cell width.
+    pitch = (grid.pixels_per_unit, grid.pixels_per_unit)
+    return _encoded(image, about, pack, resolution=pitch, resolutionunit="NONE")
+
+
+def _packed(image: NDArray[np.float32], what: str) -> bytes:
+    return _encoded(image, what, pack=True)
+
+
+def _encoded(image: NDArray[np.float32], about: str, pack: bool, **tags: Any) -> bytes:
+    buffer = io.BytesIO()
     tifffile.imwrite(
         buffer,
         np.ascontiguousarray(image, np.float32),
@@ -106,26 +116,10 @@ def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = Fals
         compression="zlib" if pack else None,
         # Noise hardly shrinks: higher levels take longer for one percent.
         compressionargs={"level": 1} if pack else None,
-        resolution=(grid.pixels_per_unit, grid.pixels_per_unit),
-        resolutionunit="NONE",
-        description=f"{what}; {px:g} x {py:g} pixels per cell; resolution: pixels per cell width",
+        description=about,
         software=f"pv-inspect {__version__}",
         metadata=None,
-    )
-    return buffer.getvalue()
-
-
-def _packed(image: NDArray[np.float32], what: str) -> bytes:
-    buffer = io.BytesIO()
-    tifffile.imwrite(
-        buffer,
-        np.ascontiguousarray(image, np.float32),
-        photometric="minisblack",
-        compression="zlib",
-        compressionargs={"level": 1},
-        description=what,
-        software=f"pv-inspect {__version__}",
-        metadata=None,
+        **tags,
     )
     return buffer.getvalue()
 

@@ -326,7 +326,7 @@ class WorkbenchModel:
         if why and self.draft is not None:
             # The stage that follows the last one that brought its part.
             missing = self.draft.stale(self.run_settings)
-            self.failure = Failure(min(missing, key=_position, default=Stage.CRACKS), why)
+            self.failure = Failure(min(missing, default=Stage.CRACKS), why)
         self.run_until = self.running_stage = None
         if result is not None:
             self.inspection, self.draft = result, None
@@ -339,10 +339,6 @@ class WorkbenchModel:
     def _enter(self, state: RunState) -> None:
         self.run_state = state
         self.run_changed.emit(state)
-
-
-def _position(stage: Stage) -> int:
-    return stage.index
 
 
 def _with_layout(settings: Settings, layout: ModuleLayout) -> Settings:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.inspection.inspection import Inspection, stages
 from pv_inspect.settings import Stage
 
 __all__ = ["REVIEW", "NextStep", "Status", "StepAction", "StepView", "next_step", "steps_of"]
@@ -126,9 +126,9 @@ def next_step(model: WorkbenchModel) -> NextStep:
         return NextStep(
             StepAction.DETECT, again, "Find the crossing points and fit camera and grid."
         )
-    first = min(to_do, key=_position)
+    first = min(to_do)
     text = f"Try again from {first.value}" if model.failure else f"Run from {first.value}"
-    return NextStep(StepAction.RUN, text, f"Do {', '.join(s.value for s in _sorted(to_do))}.")
+    return NextStep(StepAction.RUN, text, f"Do {', '.join(s.value for s in sorted(to_do))}.")
 
 
 def _while_running(model: WorkbenchModel) -> NextStep:
@@ -152,7 +152,7 @@ def _statuses(model: WorkbenchModel) -> dict[str, Status]:
     settings = model.run_settings if running else model.settings
     stale = frozenset(Stage) if shown is None else shown.stale(settings)
     ready = model.sequence is not None and not running
-    for stage in _STAGES:
+    for stage in stages():
         if running and stage is model.running_stage and stage in stale:
             status = Status.WORKING
         elif stage not in stale:
@@ -173,7 +173,7 @@ def _statuses(model: WorkbenchModel) -> dict[str, Status]:
 
 def _from_folder() -> dict[str, Status]:
     """Return the steps of a result whose frames are not there."""
-    done = dict.fromkeys((stage.value for stage in _STAGES), Status.DONE)
+    done = dict.fromkeys((stage.value for stage in stages()), Status.DONE)
     return {"load": Status.WAITING, **done, REVIEW: Status.NEXT}
 
 
@@ -185,24 +185,5 @@ def _only_looked_at(model: WorkbenchModel) -> bool:
     return model.sequence is None and model.result is not None
 
 
-_STAGES = tuple(stage for stage in Stage if stage is not Stage.LOAD)
-_PART = {
-    Stage.DETECT: "crossings",
-    Stage.CALIBRATE: "calibration",
-    Stage.REGISTER: "registration",
-    Stage.RECONSTRUCT: "reconstruction",
-    Stage.CELLS: "tiles",
-    Stage.CRACKS: "cracks",
-}
-
-
 def _has(inspection: Inspection | None, stage: Stage) -> bool:
-    return inspection is not None and getattr(inspection, _PART[stage]) is not None
-
-
-def _sorted(stages: frozenset[Stage]) -> list[Stage]:
-    return sorted(stages, key=_position)
-
-
-def _position(stage: Stage) -> int:
-    return stage.index
+    return inspection is not None and inspection.part(stage) is not None

@@ -115,7 +115,7 @@ class RunBox(QWidget):
             return "How many rows and columns of cells does the module have?"
         if not model.to_do:
             return IN_DOUBT if model.doubts else "Up to date."
-        first = min(model.to_do - {Stage.LOAD}, key=_position)
+        first = min(model.to_do - {Stage.LOAD})
         return f"Next run starts at: {first.value}."
 
     def _on_progress(self, fraction: float, message: str) -> None:
@@ -130,7 +130,3 @@ class RunBox(QWidget):
     def _on_notice(self, text: str, is_error: bool) -> None:
         self._colour(WARNING_COLOUR if is_error else "")
         self.message.setText(text)
-
-
-def _position(stage: Stage) -> int:
-    return stage.index
