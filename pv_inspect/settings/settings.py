@@ -2,86 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
 from collections.abc import Collection
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic.config import JsonDict
 
-from pv_inspect.common.records import read_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
+from pv_inspect.settings.declaration import tunable
+from pv_inspect.settings.stages import Stage
+from pv_inspect.settings.toml import read_toml, toml_text
 
-__all__ = ["Settings", "Stage"]
-
-
-# Settings are a few kilobytes; what is given by mistake must not fill the memory.
-_LARGEST_FILE_BYTES = 2**20
-
-
-class Stage(StrEnum):
-    """The stages of the method in the order in which data flows (paper, Fig. 2)."""
-
-    LOAD = "load"
-    DETECT = "detect"
-    CALIBRATE = "calibrate"
-    REGISTER = "register"
-    RECONSTRUCT = "reconstruct"
-    CELLS = "cells"
-    CRACKS = "cracks"
-
-    @property
-    def index(self) -> int:  # type: ignore[override]  # of no use on the name as a string
-        """Position in the order of the stages, 0 for the first."""
-        return list(Stage).index(self)
-
-    # Stages compare by their order; that of their names means nothing.
-    def __lt__(self, other: str) -> bool:
-        return self.index < Stage(other).index
-
-    def __le__(self, other: str) -> bool:
-        return self.index <= Stage(other).index
-
-    def __gt__(self, other: str) -> bool:
-        return self.index > Stage(other).index
-
-    def __ge__(self, other: str) -> bool:
-        return self.index >= Stage(other).index
-
-
-def _tunable(
-    default: Any,
-    stage: Stage,
-    unit: str,
-    description: str,
-    *,
-    option: tuple[str, ...] = (),
-    slider: tuple[float, float] | None = None,
-    **limits: Any,
-) -> Any:
-    """Declare a setting, once for the command line, the workbench and the documentation.
-
-    Parameters
-    ----------
-    default : object
-    stage : Stage
-        The first stage that has to run again when it changes.
-    unit, description : str
-    option : tuple of str
-        How the command line spells it, if not by its name with hyphens.
-    slider : tuple of float, optional
-        The usual values, which a slider spans; the limits if not given.
-    **limits
-        ``ge``, ``gt``, ``le`` of `pydantic.Field`.
-    """
-    extra: JsonDict = {"stage": stage.value, "unit": unit, "option": list(option)}
-    if slider is not None:
-        extra["slider"] = list(slider)
-    return Field(default, description=description, json_schema_extra=extra, **limits)
+__all__ = ["Settings"]
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -97,7 +30,7 @@ class Settings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    rows: int | None = _tunable(
+    rows: int | None = tunable(
         None,
         Stage.DETECT,
         "cells",
@@ -105,7 +38,7 @@ class Settings(BaseModel):
         ge=1,
         le=200,
     )
-    cols: int | None = _tunable(
+    cols: int | None = tunable(
         None,
         Stage.DETECT,
         "cells",
@@ -113,7 +46,7 @@ class Settings(BaseModel):
         ge=1,
         le=200,
     )
-    cell_aspect: Finite | None = _tunable(
+    cell_aspect: Finite | None = tunable(
         None,
         Stage.DETECT,
         "1",
@@ -121,28 +54,28 @@ class Settings(BaseModel):
         ge=0.1,
         le=10,
     )
-    module_at: tuple[Pixel, Pixel] | None = _tunable(
+    module_at: tuple[Pixel, Pixel] | None = tunable(
         None,
         Stage.DETECT,
         "LR px",
         "x and y of a point inside of the wanted module in the first frame; the completely "
         "visible module nearest to the centre if not given.",
     )
-    dark_frame: Path | None = _tunable(
+    dark_frame: Path | None = tunable(
         None,
         Stage.LOAD,
         "file",
         "Image taken without current, subtracted from every frame "
         "instead of the estimated black level.",
     )
-    flat_frame: Path | None = _tunable(
+    flat_frame: Path | None = tunable(
         None,
         Stage.LOAD,
         "file",
         "Image of an evenly bright surface through the same lens at the same aperture: every frame "
         "is divided by it.",
     )
-    max_frame_mpx: Finite = _tunable(
+    max_frame_mpx: Finite = tunable(
         MAX_FRAME_MPX,
         Stage.LOAD,
         "Mpx",
@@ -151,7 +84,7 @@ class Settings(BaseModel):
         ge=0.01,
         le=2000,
     )
-    max_frames: int = _tunable(
+    max_frames: int = tunable(
         MAX_FRAMES,
         Stage.LOAD,
         "frames",
@@ -159,7 +92,7 @@ class Settings(BaseModel):
         ge=1,
         le=100_000,
     )
-    kappa: Finite | None = _tunable(
+    kappa: Finite | None = tunable(
         None,
         Stage.CALIBRATE,
         "1",
@@ -169,7 +102,7 @@ class Settings(BaseModel):
         le=1,
         slider=(-0.6, 0.6),
     )
-    focal_length_px: Finite | None = _tunable(
+    focal_length_px: Finite | None = tunable(
         None,
         Stage.CALIBRATE,
         "LR px",
@@ -178,7 +111,7 @@ class Settings(BaseModel):
         le=1e6,
         option=("--focal-length",),
     )
-    calibration_file: Path | None = _tunable(
+    calibration_file: Path | None = tunable(
         None,
         Stage.CALIBRATE,
         "file",
@@ -186,14 +119,14 @@ class Settings(BaseModel):
         "length, principal point and, unless kappa is given, kappa.",
         option=("--calibration",),
     )
-    module_of: str | None = _tunable(
+    module_of: str | None = tunable(
         None,
         Stage.REGISTER,
         "file",
         "Name of a frame that shows the wanted module, where the frames show several; the module "
         "of most frames if not given.",
     )
-    keep_frames: tuple[str, ...] = _tunable(
+    keep_frames: tuple[str, ...] = tunable(
         (),
         Stage.REGISTER,
         "file",
@@ -201,21 +134,21 @@ class Settings(BaseModel):
         "frame stays a copy.",
         option=("--keep-frame",),
     )
-    skip_frames: tuple[str, ...] = _tunable(
+    skip_frames: tuple[str, ...] = tunable(
         (),
         Stage.REGISTER,
         "file",
         "Names of frames that are left out, with their copies.",
         option=("--skip-frame",),
     )
-    registration_model: Literal["camera", "homography"] = _tunable(
+    registration_model: Literal["camera", "homography"] = tunable(
         "camera",
         Stage.REGISTER,
         "1",
         "camera: every frame against the module image, with lens distortion; homography: plain "
         "homographies between frames, the ablation OURS-H of the paper.",
     )
-    magnification: Finite = _tunable(
+    magnification: Finite = tunable(
         4.0,
         Stage.RECONSTRUCT,
         "1",
@@ -224,14 +157,14 @@ class Settings(BaseModel):
         le=6,
         option=("-m",),
     )
-    prior: Literal["sparse_curvature", "btv", "tikhonov"] = _tunable(
+    prior: Literal["sparse_curvature", "btv", "tikhonov"] = tunable(
         "sparse_curvature",
         Stage.RECONSTRUCT,
         "1",
         "Prior of Eq. 7: a group-sparse penalty on second differences, bilateral total variation, "
         "or squared differences (Tikhonov).",
     )
-    prior_weight: Finite | None = _tunable(
+    prior_weight: Finite | None = tunable(
         None,
         Stage.RECONSTRUCT,
         "noise units",
@@ -242,7 +175,7 @@ class Settings(BaseModel):
         option=("--lambda",),
         slider=(1e-4, 10.0),
     )
-    psf_sigma_lr_px: Finite | None = _tunable(
+    psf_sigma_lr_px: Finite | None = tunable(
         None,
         Stage.RECONSTRUCT,
         "LR px",
@@ -252,14 +185,14 @@ class Settings(BaseModel):
         le=3,
         option=("--psf-sigma",),
     )
-    motion_blur: Literal["auto", "none"] = _tunable(
+    motion_blur: Literal["auto", "none"] = tunable(
         "auto",
         Stage.RECONSTRUCT,
         "1",
         "auto: straight motion during the exposure is estimated for every frame and undone; "
         "none: the frames are taken as still.",
     )
-    second_pass: bool = _tunable(
+    second_pass: bool = tunable(
         True,
         Stage.RECONSTRUCT,
         "1",
@@ -267,7 +200,7 @@ class Settings(BaseModel):
         "vignetting are found and taken out, and pixels that contradict it count for less.",
         option=("--second-pass/--no-second-pass",),
     )
-    max_iterations: int = _tunable(
+    max_iterations: int = tunable(
         200,
         Stage.RECONSTRUCT,
         "1",
@@ -275,7 +208,7 @@ class Settings(BaseModel):
         ge=1,
         le=1000,
     )
-    crack_threshold: Finite | None = _tunable(
+    crack_threshold: Finite | None = tunable(
         None,
         Stage.CRACKS,
         "probability",
@@ -283,13 +216,13 @@ class Settings(BaseModel):
         ge=0,
         le=1,
     )
-    detector: Literal["network", "ridge"] = _tunable(
+    detector: Literal["network", "ridge"] = tunable(
         "network",
         Stage.CRACKS,
         "1",
         "What finds the cracks: a small network trained on labelled cells, or ridge filters.",
     )
-    cell_width_mm: Finite | None = _tunable(
+    cell_width_mm: Finite | None = tunable(
         None,
         Stage.CRACKS,
         "mm",
@@ -321,24 +254,7 @@ class Settings(BaseModel):
         InspectionError
             If the file can't be read, is no TOML, or holds a wrong name or value.
         """
-        try:
-            text = read_text(path, _LARGEST_FILE_BYTES)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InspectionError(
-                f"{path} can't be read ({reason}): give an existing settings file."
-            ) from None
-        try:
-            values = tomllib.loads(text)
-        except RecursionError:
-            raise InspectionError(
-                f"{path} is nested too deep, but settings are plain lines like rows = 6: give a "
-                "TOML file of settings."
-            ) from None
-        except ValueError as error:  # also from numbers that are too long
-            raise InspectionError(
-                f"{path} is not valid TOML ({error}): correct that line."
-            ) from None
+        values = read_toml(path)
         try:
             return cls.create(**values)
         except InspectionError as error:
@@ -346,13 +262,8 @@ class Settings(BaseModel):
 
     def to_toml(self, fields: Collection[str] | None = None) -> str:
         """Return the settings, or some of them, as TOML; values that are not given are left out."""
-        lines = []
         include = None if fields is None else set(fields)
-        for name, value in self.model_dump(mode="json", include=include, exclude_none=True).items():
-            # JSON strings and lists of them are TOML as well.
-            text = json.dumps(value) if isinstance(value, str | list | bool) else repr(value)
-            lines.append(f"{name} = {text}")
-        return "\n".join(lines) + "\n"
+        return toml_text(self.model_dump(mode="json", include=include, exclude_none=True))
 
     def changed(self, **values: Any) -> Settings:
         """Return a validated copy with some values changed."""
