@@ -41,7 +41,7 @@ def app(make_napari_viewer: Callable[..., Any]) -> tuple[Any, Any, Any]:
 
 
 def opened(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
 
 
 def add(viewer: Any, layers: list[Any]) -> None:
@@ -81,7 +81,7 @@ def test_another_lambda_runs_from_the_stored_geometry(
     before = model.inspection
     model.change_settings(prior_weight=3.0)
     assert dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=60_000)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
     assert model.inspection.complete
     assert model.inspection.registration is before.registration
     assert not np.array_equal(model.inspection.reconstruction.image, before.reconstruction.image)
@@ -137,9 +137,9 @@ def test_the_selected_cell_the_frame_and_the_page_come_back(
     assert dock.workbench.model.selected_cell == (1, 2)
     assert viewer.dims.current_step[0] == 3
     assert dock.pages.tabText(dock.pages.currentIndex()) == "Frames"
-    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5), timeout=2000)
+    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5))
     dock.workbench.model.select_cell((2, 1))
-    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1), timeout=3000)
+    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1))
 
 
 def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
@@ -147,9 +147,9 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
 ) -> None:
     viewer, dock, _ = workbench
     dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None)
     dock.workbench.model.select_cell((0, 3))
     viewer.dims.set_current_step(0, 4)
     viewer.close()
