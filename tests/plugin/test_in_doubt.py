@@ -104,7 +104,8 @@ def test_a_reopened_result_shows_the_same_doubts(
     before = shown_words(dock)
     write_result(blind, tmp_path / "out")
     dock.workbench.open(str(tmp_path / "out"))
-    qtbot.waitUntil(lambda: dock.workbench.model.result is not None)
+    model = dock.workbench.model
+    qtbot.waitUntil(lambda: model.inspection and model.inspection.stored)
     qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
     assert shown_words(dock) == before
     assert "In doubt" in dock.run.message.text() or "Opened" in dock.run.message.text()

@@ -19,6 +19,7 @@ from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.read import read_result
 from pv_inspect.results.write import write_result
 from pv_inspect.review import ReviewStore, VerdictKind
@@ -157,7 +158,7 @@ def test_the_last_whole_result_loads_after_kill_9_during_a_run_or_while_saving(
         assert [next(told) for _ in range(3)] == ["whole"] * 3
         sleep(delay_s)
     result = read_result(folder)
-    assert np.isfinite(result.image).any()
+    assert np.isfinite(result.need(Reconstruction).image).any()
     viewer = make_napari_viewer(show=True)
     dock, _ = build(viewer)
     dock.workbench.open(folder)

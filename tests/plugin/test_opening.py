@@ -19,6 +19,7 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.session import Session, read_session, write_session
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
@@ -122,7 +123,9 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
     image = viewer.layers["Module image"]
-    middle = dock.workbench.model.result.grid.to_pixels(np.array([[0.5, 0.5]]))[0]
+    middle = dock.workbench.model.result.need(Reconstruction).grid.to_pixels(
+        np.array([[0.5, 0.5]])
+    )[0]
     y, x = image.data_to_world((middle[1], middle[0]))
     assert tuple(viewer.scene.camera.center[-2:]) == pytest.approx((y, x), abs=1.0)
 
