@@ -21,7 +21,7 @@ def launch(path: Path | None = None) -> None:
     Parameters
     ----------
     path : Path, optional
-        Folder of frames, multi-page TIFF, or result folder.
+        Folder of frames, file that holds several, or result folder.
     """
     from napari_pv_inspect.application import run
 

@@ -14,11 +14,10 @@ __all__ = ["get_reader"]
 Reader = Callable[[Any], "list[LayerData]"]
 
 NOTHING: list[LayerData] = [(None,)]  # type: ignore[list-item]
-IMAGES = {".tif", ".tiff", ".png"}
 
 
 def get_reader(path: str | Path | Sequence[str]) -> Reader | None:
-    """Return a reader for a folder of frames, a TIFF stack or a result folder, else None.
+    """Return a reader for a folder or file of frames or a result folder, else None.
 
     Parameters
     ----------
@@ -26,15 +25,15 @@ def get_reader(path: str | Path | Sequence[str]) -> Reader | None:
         One path, or the frames of one sequence as a list.
     """
     if not isinstance(path, (str, Path)):
-        return read_sequence if path and all(_is_image(Path(p)) for p in path) else None
+        return read_sequence if path and all(_is_frame_file(Path(p)) for p in path) else None
     place = Path(path)
     try:
         if not place.is_dir():
-            return read_sequence if place.suffix.lower() in {".tif", ".tiff"} else None
+            return read_sequence if _is_frame_file(place) else None
         if (place / "result.json").is_file():
             return read_result
         folder = place / "frames" if (place / "frames").is_dir() else place
-        return read_sequence if any(_is_image(p) for p in folder.iterdir()) else None
+        return read_sequence if any(map(_is_frame_file, folder.iterdir())) else None
     except OSError:
         return read_sequence  # It says why the folder can't be read.
 
@@ -67,5 +66,7 @@ def _or_notice(read: Callable[[], list[LayerData]]) -> list[LayerData]:
         return NOTHING
 
 
-def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in IMAGES
+def _is_frame_file(path: Path) -> bool:
+    from pv_inspect.image_files.endings import is_frame_file
+
+    return is_frame_file(path)

@@ -45,6 +45,7 @@ from napari_pv_inspect.session.view_state import SessionStore
 from napari_pv_inspect.tasks.run import RunController
 from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.results.record import Result
 
 __all__ = ["Workbench"]
 
@@ -202,7 +203,7 @@ class Workbench(QObject):
     def _may_leave(self) -> bool:
         return self.review.may_leave(self._main_window)
 
-    def _on_result(self, result: Inspection) -> None:
+    def _on_result(self, result: Result) -> None:
         self.session.resume(result)
         self.trials.resume(result)
         self.fit_view()
@@ -224,7 +225,7 @@ class Workbench(QObject):
         if self.frames.adopt(layer):
             return
         self.module.adopt(layer)
-        if isinstance(result := layer.metadata.get(RESULT_KEY), Inspection):
+        if isinstance(result := layer.metadata.get(RESULT_KEY), Result):
             self.opener.restore(result)
 
     def _on_preview(self, image: Any) -> None:

@@ -36,8 +36,8 @@ def run(
     sequence: Annotated[
         Path,
         typer.Argument(
-            help="Folder of 8- or 16-bit TIFF or PNG frames (or one that has them in frames/), or "
-            "a multi-page TIFF.",
+            help="Folder of frames (or one that has them in frames/), or a file that holds "
+            "several.",
             metavar="SEQUENCE",
             show_default=False,
         ),
@@ -87,7 +87,7 @@ def run(
         use_threads(threads)
         begun = perf_counter()
         references = settings.dark_frame, settings.flat_frame
-        opened = FrameSequence.open(sequence, *references, settings.read_limits)
+        opened = FrameSequence.open(sequence, *references, settings.read_limits, settings.series)
         wanted = [] if settings.module_of is None else [settings.module_of]
         opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part

@@ -67,6 +67,8 @@ class StoredRecord(Record):
         return value
 
 
+# What PowerShell writes begins with one of them.
+_UTF_16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 _Model = TypeVar("_Model", bound=Record)
 
 
@@ -84,10 +86,12 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
         raise ValueError("it is no file")
     if (size := path.stat().st_size) > most_bytes:
         raise ValueError(f"it has {size} bytes, at most {most_bytes} are expected")
+    with path.open("rb") as file:
+        wide = file.read(2) in _UTF_16_MARKS
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError("it is no text in UTF-8") from None
+        raise ValueError(f"it is no text in {'UTF-16' if wide else 'UTF-8'}") from None
 
 
 def json_from(text: str) -> Any:

@@ -152,7 +152,13 @@ def _pixels(path: Path, limits: ReadLimits) -> NDArray[np.generic]:
                 f"{path.name} has {len(pages)} pages, but an image of a cell has one: save every "
                 "cell as its own file."
             )
-        return read_floats(pages[0]) if pages[0].dtype.kind == "f" else read_frame(pages[0])
+        dtype = pages[0].dtype
+        if dtype.kind != "f" and dtype not in (np.uint8, np.uint16):
+            raise InspectionError(
+                f"{path.name} holds {dtype} values, but images of cells are 8- or 16-bit unsigned "
+                "or floating-point: export it so, without scaling."
+            )
+        return read_floats(pages[0]) if dtype.kind == "f" else read_frame(pages[0])
     try:
         image = read_photo(path, limits)
     except ImageFileError as problem:

@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from pv_inspect.common.compiling import compiled
 from pv_inspect.image_files.problems import damaged, needs_decoder
 
-__all__ = ["lzma_bytes", "lzw", "packbits", "unpacked_zlib"]
+__all__ = ["lzma_bytes", "lzw", "packbits", "unpacked_bits", "unpacked_zlib"]
 
 Bytes = NDArray[np.uint8]
 
 # xz can demand gigabytes for its dictionary; the usual presets need less than 70 MB.
 _LZMA_MEMORY = 128 * 2**20
+# Values that are unpacked at a time: 3 arrays of 4 bytes for each.
+_VALUES_AT_A_TIME = 2**20
 _CLEAR, _END, _FIRST_CODE, _MOST_CODES = 256, 257, 258, 4096
 
 
@@ -67,6 +69,35 @@ def lzw(data: bytes, least: int, most: int) -> bytes:
 def packbits(data: bytes, least: int, most: int) -> bytes:
     """Unpack run lengths; parameters and errors as for `unpacked_zlib`."""
     return _compiled(_packbits, data, least, most)
+
+
+def unpacked_bits(lines: Bytes, n_values: int, bits: int) -> NDArray[np.uint16]:
+    """Unpack values of 9 to 15 bits that follow each other without gaps, highest bit first.
+
+    Parameters
+    ----------
+    lines : (n_lines, n_bytes) uint8
+        Each line begins with a byte of its own.
+    n_values : int
+        Values of a line.
+    bits : int
+
+    Returns
+    -------
+    (n_lines, n_values) uint16
+    """
+    at = np.arange(n_values) * bits
+    first, shift = at >> 3, np.asarray(24 - bits - (at & 7), np.uint32)
+    out = np.empty((len(lines), n_values), np.uint16)
+    step = max(1, _VALUES_AT_A_TIME // max(n_values, 1))
+    for top in range(0, len(lines), step):
+        # A value lies in three bytes at most; the last ones of a line have none after them.
+        part = np.pad(lines[top : top + step], ((0, 0), (0, 2)))
+        word = part[:, first].astype(np.uint32)
+        for k in (1, 2):
+            word = (word << np.uint32(8)) | part[:, first + k]
+        out[top : top + step] = (word >> shift) & np.uint32(2**bits - 1)
+    return out
 
 
 def _compiled(decode: Callable[[Bytes, Bytes], int], data: bytes, least: int, most: int) -> bytes:

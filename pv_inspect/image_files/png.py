@@ -77,6 +77,11 @@ class PngHeader:
         """Type of the decoded values."""
         return np.dtype(np.uint16 if self.bits == 16 else np.uint8)
 
+    @property
+    def coloured(self) -> bool:
+        """Whether it has colours, which may be alike."""
+        return self.colour in (2, _PALETTE, 6)
+
     def passes(self) -> list[tuple[int, int]]:
         """(rows, bytes of a row with its filter) of each interlace pass; one if there are none."""
         channels = _KINDS[self.colour][0]

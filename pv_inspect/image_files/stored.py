@@ -37,7 +37,7 @@ def stored_shape(path: Path) -> tuple[int, int]:
         page = page_at(file, _only_page(file), _LIMITS)
         if page.samples != 1 or page.dtype.newbyteorder("=") != np.float32:
             raise ValueError(f"it holds {page.dtype} values in {page.samples} channels")
-        return page.height, page.width
+        return page.shape
 
 
 def stored_floats(path: Path) -> NDArray[np.float32]:

@@ -8,9 +8,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.image_files.byte_coding import lzma_bytes, lzw, packbits, unpacked_zlib
+from pv_inspect.image_files.byte_coding import (
+    lzma_bytes,
+    lzw,
+    packbits,
+    unpacked_bits,
+    unpacked_zlib,
+)
 from pv_inspect.image_files.jpeg import decoded_jpeg, with_tables
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.orientation import turned
 from pv_inspect.image_files.problems import damaged, needs_decoder
 from pv_inspect.image_files.regular import exactly
 from pv_inspect.image_files.tiff import TiffPage, page_at, segments_of
@@ -56,7 +63,7 @@ def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits, plane: int = 0)
     Returns
     -------
     (height, width) or (height, width, samples), in the machine's byte order
-        Grey where white is stored as zero is turned round.
+        As it is shown. Grey where white is stored as zero is turned round.
 
     Raises
     ------
@@ -67,8 +74,11 @@ def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits, plane: int = 0)
     coding = page.compression
     if coding not in (_NONE, _JPEG) and coding not in _BYTE_CODINGS:
         raise needs_decoder(f"{_OTHERS.get(coding, 'TIFF')} (compression {coding})")
-    if page.predictor not in (1, 2) or (page.predictor == 2 and page.dtype.kind == "f"):
-        raise needs_decoder(f"differences of kind {page.predictor} between {page.dtype} values")
+    if page.predictor not in (1, 2) or (
+        page.predictor == 2 and (page.dtype.kind == "f" or page.packed)
+    ):
+        what = f"{page.bits}-bit" if page.packed else f"{page.dtype}"
+        raise needs_decoder(f"differences of kind {page.predictor} between {what} values")
     segments = segments_of(file, offset, page, plane)
     shape = page.height, page.width, page.samples
     image = np.empty(shape, page.dtype.newbyteorder("="))
@@ -81,7 +91,9 @@ def page_pixels(file: BinaryIO, offset: int, limits: ReadLimits, plane: int = 0)
         here[:] = _segment(data, page, segments.jpeg_tables, here.shape)
     if page.photometric == _WHITE_IS_ZERO and page.dtype.kind in "ui":
         np.invert(image, out=image)
-    return image[..., 0] if page.samples == 1 else image
+        if page.packed:
+            image &= 2**page.bits - 1
+    return turned(image[..., 0] if page.samples == 1 else image, page.orientation)
 
 
 def _places(page: TiffPage) -> Iterator[tuple[slice, slice, slice]]:
@@ -106,8 +118,8 @@ def _segment(data: bytes, page: TiffPage, tables: bytes, shape: tuple[int, ...])
         if picture.shape[0] < rows or picture.shape[1] < cols:
             raise damaged("its JPEG data are smaller than its header says")
         return picture[:rows, :cols]
-    line = wide * channels * page.dtype.itemsize
-    least = ((rows - 1) * wide + cols) * channels * page.dtype.itemsize
+    line = page.line_bytes(wide, channels)
+    least = (rows - 1) * line + page.line_bytes(cols, channels)
     if page.compression != _NONE:
         data = _BYTE_CODINGS[page.compression](data, least, high * line)
     if len(data) < least:
@@ -115,6 +127,10 @@ def _segment(data: bytes, page: TiffPage, tables: bytes, shape: tuple[int, ...])
     lines = np.zeros(rows * line, np.uint8)
     kept = np.frombuffer(data, np.uint8)[: rows * line]
     lines[: len(kept)] = kept
+    if page.packed:
+        return unpacked_bits(lines.reshape(rows, line), wide * channels, page.bits).reshape(
+            rows, wide, channels
+        )[:, :cols]
     values = lines.view(page.dtype).reshape(rows, wide, channels)
     if page.predictor == 2:
         values = values.astype(page.dtype.newbyteorder("="), copy=False)

@@ -59,7 +59,9 @@ def exists(path: Path) -> bool:
 
 def geometry_record(inspection: Inspection) -> dict[str, Any]:
     """Return crossing points and calibration, which a later run can start from."""
-    crossings, calibration = inspection.need(Crossings), inspection.need(Calibration)
+    crossings, calibration = inspection.crossings, inspection.calibration
+    assert crossings is not None
+    assert calibration is not None
     return {
         "format": GeometryRecord.newest_format,
         "crossings": [vars(frame) for frame in crossings.frames],

@@ -20,7 +20,7 @@ from pv_inspect.sequence.noise import NoiseModel, estimate_noise
 
 __all__ = ["FrameContents", "Likeness", "copies_sentence", "copy_reasons", "likeness"]
 
-Pixels = NDArray[np.unsignedinteger]
+Pixels = NDArray[np.unsignedinteger | np.float32]
 Image = NDArray[np.float32]
 
 _BLOCK_PX = 8
@@ -74,7 +74,7 @@ class FrameContents:
     _thumbnails: list[Image] = field(default_factory=list)
 
     def add(self, pixels: Pixels) -> None:
-        """Take note of the next frame, (height, width) uint8 or uint16."""
+        """Take note of the next frame, (height, width) uint8, uint16 or float32."""
         about = f"{pixels.shape} {pixels.dtype}".encode()
         self._digests.append(blake2b(np.ascontiguousarray(pixels).data, person=about[:16]).digest())
         small = cv2.resize(pixels, _THUMBNAIL[::-1], interpolation=cv2.INTER_AREA)
@@ -178,7 +178,7 @@ def likeness(first: Pixels, second: Pixels) -> Likeness:
 
     Parameters
     ----------
-    first, second : (height, width) uint8 or uint16
+    first, second : (height, width) uint8, uint16 or float32, DN
         Frames of the same size and type.
 
     Returns

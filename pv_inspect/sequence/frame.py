@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.sequence.sensor import (
-    fill_pixels,
-)
+from pv_inspect.sequence.sensor import fill_pixels
+from pv_inspect.sequence.values import Raw, ValueScale
 
 __all__ = ["Frame", "prepared"]
-
-Raw = NDArray[np.unsignedinteger]
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class Frame:
         defective pixels are filled from their neighbours. Saturated areas keep what the camera
         said. Read-only.
     valid : (height, width) bool
-        False: saturated, hot or dead. Read-only.
+        False: saturated, hot, dead, or without a value. Read-only.
     """
 
     image: NDArray[np.float32]
@@ -38,15 +35,31 @@ def prepared(
     raw: Raw,
     black: NDArray[np.float32],
     level: float,
-    full_scale: float,
+    scale: ValueScale,
     defects: NDArray[np.bool_],
     flat: NDArray[np.float32] | None,
 ) -> Frame:
-    """Take out what the sensor and the lens did to the numbers of a frame."""
-    image = (raw.astype(np.float32) - black) / np.float32(full_scale - level)
+    """Take out what the sensor and the lens did to the numbers of a frame.
+
+    Parameters
+    ----------
+    raw : (height, width)
+        As it is stored.
+    black : (width,) or (height, width) float32
+        DN.
+    level : float
+        Black level, DN.
+    scale : ValueScale
+    defects : (height, width) bool
+    flat : (height, width) float32 or None
+    """
+    values, missing = scale.dn(raw)
+    image = (values.astype(np.float32) - black) / np.float32(scale.full_scale_dn - level)
     if flat is not None:
         np.divide(image, flat, out=image, where=flat > 0.0)
-    valid = (raw < full_scale) & ~defects
+    valid = (values < scale.saturated_from) & ~defects
+    if missing is not None:
+        valid &= ~missing
     image = fill_pixels(image, defects, valid)
     image.flags.writeable = False
     valid.flags.writeable = False

@@ -1,4 +1,4 @@
-"""Single images on disk: TIFF pages and PNG files as (height, width) arrays."""
+"""Single images on disk, of whatever format, as (height, width) arrays."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.errors import InspectionError
+from pv_inspect.errors import InspectionError, printable
+from pv_inspect.image_files.formats import FORMAT_NAMES, format_of
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.image_files.png import png_header, png_pixels
+from pv_inspect.image_files.picture import ImageFormat, Picture
 from pv_inspect.image_files.problems import ImageFileError
-from pv_inspect.image_files.regular import FileState, file_state, open_regular
-from pv_inspect.image_files.tiff import page_at, page_offsets, planes_of
-from pv_inspect.image_files.tiff_pixels import page_pixels
+from pv_inspect.image_files.regular import FileState, file_state
+from pv_inspect.sequence.grey import grey_of
 
-__all__ = ["FrameFile", "expand", "natural_key", "read_floats", "read_frame"]
+__all__ = [
+    "FrameFile",
+    "expand",
+    "expand_with_notes",
+    "natural_key",
+    "read_floats",
+    "read_frame",
+    "read_tinted",
+]
 
-Pixels: TypeAlias = NDArray[np.unsignedinteger]
+Pixels: TypeAlias = NDArray[np.unsignedinteger | np.float32]
 
 
 @dataclass(frozen=True)
@@ -31,31 +39,37 @@ class FrameFile:
     ----------
     path : Path
     page : int
-        Index of the TIFF page among the pictures of the file; 0 for other files.
+        Index among the pictures of the file.
     single : bool
         Whether this is the only frame of the file.
-    shape : tuple of int
-        (height, width), px.
-    dtype : dtype
-        Type of the values.
-    offset : int
-        Where the header of the TIFF page lies.
+    picture : Picture
+        What its header says.
     state : FileState
         State of the file when it was listed.
     limits : ReadLimits
-    plane : int
-        Which of the pictures that share this header.
     """
 
     path: Path
     page: int
     single: bool
-    shape: tuple[int, int]
-    dtype: np.dtype[Any]
-    offset: int
+    picture: Picture
     state: FileState
     limits: ReadLimits
-    plane: int = 0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width), px."""
+        return self.picture.shape
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the stored values."""
+        return self.picture.dtype
+
+    @property
+    def format(self) -> ImageFormat:
+        """How it is read."""
+        return _known_format(self.path)
 
     def label(self, name: str) -> str:
         """Name of the frame, given the name of its file."""
@@ -72,7 +86,9 @@ def natural_key(name: str) -> list[tuple[int, int | str]]:
     return [(0, int(p)) if p.isdecimal() else (1, p) for p in parts]
 
 
-def expand(path: Path, limits: ReadLimits | None = None) -> list[FrameFile]:
+def expand(
+    path: Path, limits: ReadLimits | None = None, series: str | None = None
+) -> list[FrameFile]:
     """List the frames of a file: the pages of a TIFF (thumbnails left out), else the file.
 
     Only headers are read.
@@ -82,69 +98,65 @@ def expand(path: Path, limits: ReadLimits | None = None) -> list[FrameFile]:
     path : Path
     limits : ReadLimits, optional
         What is read at most; the default limits if not given.
+    series : str, optional
+        Which one, where a file holds several series of pictures.
 
     Raises
     ------
     InspectionError
-        If the file can't be read as TIFF or PNG, holds no picture, or one that is too large.
+        If the file can't be read, holds no picture, or one that is too large.
     """
-    limits = limits or ReadLimits()
+    return expand_with_notes(path, limits or ReadLimits(), series)[0]
+
+
+def expand_with_notes(
+    path: Path, limits: ReadLimits, series: str | None = None
+) -> tuple[list[FrameFile], tuple[str, ...]]:
+    """List the frames of a file as `expand`, and say in sentences what was left out of it."""
     try:
         state = file_state(path)
-        with open_regular(path, state) as file:
-            if _is_png(path):
-                png = png_header(file, limits)
-                shape = png.height, png.width
-                return [FrameFile(path, 0, True, shape, png.dtype, 0, state, limits)]
-            offsets = page_offsets(file, limits.max_frames)
-            pages = [page_at(file, offset, limits) for offset in offsets]
-            planes = planes_of(file, offsets[0]) if len(pages) == 1 else 1
+        listing = _known_format(path).listed(path, state, limits, series)
     except ImageFileError as problem:
         raise InspectionError(f"{path.name} {problem}") from None
-    if planes > limits.max_frames:
-        raise InspectionError(
-            f"{path.name} has {planes} pictures, more than the {limits.max_frames} that are read "
-            "as one sequence: take some of them, or raise max_frames."
-        )
-    places = [(page, offset, 0) for page, offset in zip(pages, offsets, strict=True)]
-    if planes > 1:
-        places = [(pages[0], offsets[0], plane) for plane in range(planes)]
-    return [
-        FrameFile(
-            path,
-            k,
-            len(places) == 1,
-            (page.height, page.width),
-            page.dtype.newbyteorder("="),
-            offset,
-            state,
-            limits,
-            plane,
-        )
-        for k, (page, offset, plane) in enumerate(places)
+    pictures = listing.pictures
+    files = [
+        FrameFile(path, k, len(pictures) == 1, picture, state, limits)
+        for k, picture in enumerate(pictures)
     ]
+    return files, tuple(printable(f"{path.name} {note}") for note in listing.notes)
 
 
 def read_frame(file: FrameFile) -> Pixels:
-    """Read one frame.
+    """Read one frame; see `read_tinted`."""
+    return read_tinted(file)[0]
+
+
+def read_tinted(file: FrameFile) -> tuple[Pixels, bool]:
+    """Read one frame, and tell whether it had a slight tint.
 
     Returns
     -------
-    (height, width) uint8 or uint16
+    image : (height, width) uint8 or uint16 if it is stored so, else float32
+        Values that are infinite or no numbers are left as they are.
+    tinted : bool
 
     Raises
     ------
     InspectionError
-        If it can't be decoded, is coloured, has another type than 8 or 16 bits unsigned, or has
-        changed since it was listed.
+        If it can't be decoded, is coloured, holds no plain numbers, or has changed since it was
+        listed.
     """
     name = file.label(file.path.name)
-    if file.dtype not in (np.uint8, np.uint16):
+    if file.dtype.kind not in "uif":
         raise InspectionError(
-            f"{name} holds {file.dtype} values, but frames are 8- or 16-bit unsigned: export "
-            "what the camera delivered, without scaling."
+            f"{name} holds {file.dtype} values, but frames are whole or floating-point numbers: "
+            "export what the camera delivered, without scaling."
         )
-    return cast(Pixels, _grey(_decoded(file), name))
+    image, tinted = grey_of(_decoded(file), name)
+    if file.dtype in (np.uint8, np.uint16):
+        return cast(Pixels, image), tinted
+    with np.errstate(over="ignore", invalid="ignore"):  # too large for float32: as infinite
+        return image.astype(np.float32), tinted
 
 
 def read_floats(file: FrameFile) -> NDArray[np.floating]:
@@ -165,32 +177,20 @@ def read_floats(file: FrameFile) -> NDArray[np.floating]:
             f"{name} holds {file.dtype} values, but floating-point values are expected: give the "
             "file that pv-inspect wrote."
         )
-    return cast("NDArray[np.floating]", _grey(_decoded(file), name))
+    return cast("NDArray[np.floating]", grey_of(_decoded(file), name)[0])
 
 
-def _is_png(path: Path) -> bool:
-    return path.suffix.lower() == ".png"
+def _known_format(path: Path) -> ImageFormat:
+    found = format_of(path)
+    if found is None:
+        raise InspectionError(
+            f"{path.name} is no {FORMAT_NAMES} file: convert it losslessly to TIFF or PNG."
+        )
+    return found
 
 
 def _decoded(file: FrameFile) -> NDArray[Any]:
     try:
-        with open_regular(file.path, file.state) as opened:
-            if _is_png(file.path):
-                image = png_pixels(opened, png_header(opened, file.limits))
-            else:
-                image = page_pixels(opened, file.offset, file.limits, file.plane)
+        return file.format.decoded(file.path, file.state, file.picture, file.limits)
     except ImageFileError as problem:
         raise InspectionError(f"{file.label(file.path.name)} {problem}") from None
-    return image
-
-
-def _grey(image: NDArray[Any], name: str) -> NDArray[Any]:
-    if image.ndim == 2:
-        return image
-    grey = np.ascontiguousarray(image[..., 0])
-    if all(np.array_equal(grey, image[..., k]) for k in (1, 2)):
-        return grey
-    raise InspectionError(
-        f"{name} is a colour image, but luminescence frames have one grey channel: export it "
-        "as grey, without a colour map."
-    )

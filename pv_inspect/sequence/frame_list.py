@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pv_inspect.errors import InspectionError, printable
+from pv_inspect.image_files.formats import FORMAT_NAMES, format_of
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.image_files.problems import ImageFileError
 from pv_inspect.image_files.regular import file_state
-from pv_inspect.sequence.frame_files import FrameFile, expand, natural_key
+from pv_inspect.sequence.frame_files import FrameFile, expand_with_notes, natural_key
+from pv_inspect.sequence.strays import without_strays
 
 __all__ = ["FrameList", "existing_image", "list_frames"]
 
@@ -20,7 +22,8 @@ __all__ = ["FrameList", "existing_image", "list_frames"]
 _UNFOLDING = 200
 # Less is read in no time, whatever it is.
 _HARMLESS_BYTES = 2**26
-_SUFFIXES = frozenset({".tif", ".tiff", ".png"})
+# What was compressed with loss has no noise left to speak of.
+_LOSSY_UNFOLDING = 4000
 
 
 @dataclass(frozen=True)
@@ -48,13 +51,17 @@ class FrameList:
     warnings: tuple[str, ...]
 
 
-def list_frames(source: Path | str | Iterable[Path | str], limits: ReadLimits) -> FrameList:
-    """List the frames of a folder, a TIFF of several pages, or a list of files.
+def list_frames(
+    source: Path | str | Iterable[Path | str], limits: ReadLimits, series: str | None = None
+) -> FrameList:
+    """List the frames of a folder, a file that holds several, or a list of files.
 
     Parameters
     ----------
     source : path or paths
     limits : ReadLimits
+    series : str, optional
+        Which one, where a file holds several series of pictures.
 
     Raises
     ------
@@ -67,14 +74,21 @@ def list_frames(source: Path | str | Iterable[Path | str], limits: ReadLimits) -
         raise InspectionError(
             f"{source} can't be read ({error.strerror}): check its name and its permissions."
         ) from None
-    files: list[FrameFile] = []
+    in_files: list[Sequence[FrameFile]] = []
     for path in paths:
-        files += expand(path, limits)
-        if len(files) > limits.max_frames:
+        frames, notes = expand_with_notes(path, limits, series)
+        in_files.append(frames)
+        warnings += notes
+        if sum(map(len, in_files)) > limits.max_frames:
             raise InspectionError(
                 f"There are more than {limits.max_frames} frames in {root}, but a sequence has "
                 "about 20: take some of them, or raise max_frames."
             )
+    if root.is_dir() and isinstance(source, (str, Path)):
+        in_files, strays = without_strays(in_files)
+        warnings += strays
+        paths = [frames[0].path for frames in in_files]
+    files = [file for frames in in_files for file in frames]
     _check_unfolding(root, files)
     return FrameList(root, tuple(paths), tuple(files), _names(files), warnings)
 
@@ -83,7 +97,8 @@ def _check_unfolding(root: Path, files: list[FrameFile]) -> None:
     """Refuse small files that claim to hold very much: blank pictures, or pages that share one."""
     whole = sum(file.shape[0] * file.shape[1] * file.dtype.itemsize for file in files)
     stored = sum(size for _, size in {(file.path, file.state.size) for file in files})
-    if whole > _HARMLESS_BYTES and whole > _UNFOLDING * stored:
+    lossy = any(file.picture.lossy for file in files)
+    if whole > _HARMLESS_BYTES and whole > (_LOSSY_UNFOLDING if lossy else _UNFOLDING) * stored:
         raise InspectionError(
             f"The frames in {root} unfold from {stored / 1e6:.2g} MB to {whole / 1e6:.0f} MB, but "
             "pictures of a camera have noise, which does not shrink so far: remove blank or "
@@ -105,9 +120,9 @@ def existing_image(path: Path) -> Path:
         file_state(path)
     except ImageFileError as problem:
         raise InspectionError(f"{path} {problem}") from None
-    if path.suffix.lower() not in _SUFFIXES:
+    if format_of(path) is None:
         raise InspectionError(
-            f"{path} is no TIFF or PNG file: convert it losslessly to one of them."
+            f"{path} is no {FORMAT_NAMES} file: convert it losslessly to TIFF or PNG."
         )
     return path
 
@@ -119,7 +134,7 @@ def _find(
     if not isinstance(source, (str, Path)):
         paths = [existing_image(Path(p)) for p in source]
         if not paths:
-            raise InspectionError("The list of frames is empty: give at least one TIFF or PNG.")
+            raise InspectionError("The list of frames is empty: give at least one image.")
         kept, again = _without_repeats(paths)
         if again:
             raise InspectionError(
@@ -134,7 +149,7 @@ def _find(
         kept, again = _without_repeats(images or _images_in(path))
         if not kept:
             raise InspectionError(
-                f"{path} holds no TIFF or PNG image: give the folder that the frames are in."
+                f"{path} holds no {FORMAT_NAMES} image: give the folder that the frames are in."
             )
         return path, kept, _counted_once(again)
     if not os.path.lexists(path):
@@ -150,9 +165,14 @@ def _images_in(folder: Path) -> list[Path]:
     images = [
         existing_image(path)
         for path in folder.iterdir()
-        if path.suffix.lower() in _SUFFIXES and not path.name.startswith(".") and not path.is_dir()
+        if _in_folders(path) and not path.name.startswith(".") and not path.is_dir()
     ]
     return sorted(images, key=lambda p: natural_key(p.name))
+
+
+def _in_folders(path: Path) -> bool:
+    kind = format_of(path)
+    return kind is not None and kind.in_folders
 
 
 def _without_repeats(paths: list[Path]) -> tuple[list[Path], list[tuple[Path, Path]]]:

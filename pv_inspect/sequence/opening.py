@@ -4,24 +4,18 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence.copies import FrameContents
-from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame
+from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame, read_tinted
 from pv_inspect.sequence.frame_list import existing_image
-from pv_inspect.sequence.sensor import (
-    temporal_median,
-)
+from pv_inspect.sequence.sensor import temporal_median
+from pv_inspect.sequence.values import Raw, ValueScale, ValueSurvey, comparable
 
-__all__ = ["DecodedFrames", "check_frames", "read_reference"]
-
-Raw = NDArray[np.unsignedinteger]
-
+__all__ = ["DecodedFrames", "check_frames", "read_reference", "reference_dn"]
 
 _SMALLEST_SIDE_PX = 32
 
@@ -34,19 +28,27 @@ class DecodedFrames:
     files : tuple of FrameFile
     most_bytes : int
         So much is kept.
+
+    Attributes
+    ----------
+    tinted : set of int
+        Frames that had a slight tint.
     """
 
     def __init__(self, files: tuple[FrameFile, ...], most_bytes: int) -> None:
         self._files = files
         self._left = most_bytes
         self._kept: dict[int, Raw] = {}
+        self.tinted: set[int] = set()
 
     def __getitem__(self, index: int) -> Raw:
-        """Return a frame, (height, width) uint8 or uint16."""
+        """Return a frame, (height, width) uint8, uint16 or float32."""
         known = self._kept.get(index)
         if known is not None:
             return known
-        image = read_frame(self._files[index])
+        image, tinted = read_tinted(self._files[index])
+        if tinted:
+            self.tinted.add(index)
         if image.nbytes <= self._left:
             self._left -= image.nbytes
             self._kept[index] = image
@@ -58,11 +60,10 @@ def check_frames(
     names: tuple[str, ...],
     contents: FrameContents,
     decoded: DecodedFrames,
-) -> tuple[tuple[int, int], int, int]:
-    """Decode every frame once, into contents; return (shape, maximum, bitwise or of all values)."""
+) -> tuple[tuple[int, int], ValueSurvey]:
+    """Decode every frame once, into contents; return their shape and what their values are."""
     shape = Counter(file.shape for file in files).most_common(1)[0][0]
-    dtype = Counter(file.dtype for file in files).most_common(1)[0][0]
-    maximum, used_bits = 0, 0
+    kind = Counter(_kind(file) for file in files).most_common(1)[0][0]
     # What the headers say comes first: nothing is decoded in vain.
     for name, file in zip(names, files, strict=True):
         if file.shape != shape:
@@ -70,38 +71,63 @@ def check_frames(
                 f"{name} is {file.shape[1]} x {file.shape[0]}, the sequence is {shape[1]} x "
                 f"{shape[0]}: remove it or load it as its own sequence."
             )
-        if file.dtype != dtype:
+        if _kind(file) != kind:
             raise InspectionError(
-                f"{name} has {8 * file.dtype.itemsize} bits, the sequence has "
-                f"{8 * dtype.itemsize}: remove it or export all frames alike."
+                f"{name} has {_kind(file)}, the sequence has {_short(kind, _kind(file))}: remove "
+                "it or export all frames alike."
             )
     if min(shape) < _SMALLEST_SIDE_PX:
         raise InspectionError(
             f"The frames are {shape[1]} x {shape[0]}, too small to show a module: at least "
             f"{_SMALLEST_SIDE_PX} x {_SMALLEST_SIDE_PX} is needed, give the full images."
         )
+    survey = ValueSurvey()
     for index in range(len(files)):
         image = decoded[index]
-        maximum = max(maximum, int(image.max()))
-        used_bits |= int(np.bitwise_or.reduce(image, axis=None))
-        contents.add(image)
-    return shape, maximum, used_bits
+        survey.add(image)
+        contents.add(comparable(image))
+    if not np.isfinite(survey.maximum):
+        raise InspectionError(
+            f"{names[0]} and all other frames hold no number at all: export what the camera "
+            "delivered."
+        )
+    return shape, survey
+
+
+def _kind(file: FrameFile) -> str:
+    """What type of values a frame holds, in words."""
+    if file.dtype in (np.uint8, np.uint16):
+        return f"{file.picture.bits or 8 * file.dtype.itemsize} bits"
+    return f"{file.dtype} values"
+
+
+def _short(kind: str, other: str) -> str:
+    """Leave out "bits" where both are said in them."""
+    return kind.removesuffix(" bits") if other.endswith(" bits") else kind
 
 
 def read_reference(
-    path: Path, kind: str, shape: tuple[int, int], dtype: np.dtype[Any], limits: ReadLimits
+    path: Path, kind: str, shape: tuple[int, int], like: FrameFile, limits: ReadLimits
 ) -> Raw:
-    """Read a dark or flat frame, the median of its pages."""
+    """Read a dark or flat frame, the median of its pages, in stored values."""
     files = expand(existing_image(path), limits)
     for file in files:
-        if file.shape != shape or file.dtype != dtype:
+        if file.shape != shape or file.dtype != like.dtype:
             raise InspectionError(
                 f"The {kind} frame {path} is {file.shape[1]} x {file.shape[0]} with "
-                f"{8 * file.dtype.itemsize} bits, the sequence is {shape[1]} x {shape[0]} with "
-                f"{8 * dtype.itemsize}: take it with the same camera settings."
+                f"{_kind(file)}, the sequence is {shape[1]} x {shape[0]} with "
+                f"{_kind(like)}: take it with the same camera settings."
             )
     pages = [read_frame(file) for file in files]
     if len(pages) == 1:
         return pages[0]
-    median: Raw = temporal_median(np.stack(pages)).astype(dtype)
+    median: Raw = temporal_median(np.stack(pages)).astype(pages[0].dtype)
     return median
+
+
+def reference_dn(raw: Raw, scale: ValueScale) -> Raw:
+    """Bring a dark or flat frame to DN, (height, width) uint8, uint16 or float32."""
+    if raw.dtype.kind == "u":
+        return raw
+    filled = scale.without_gaps(raw)[0]
+    return (filled.astype(np.float64) * scale.factor).astype(np.float32)

@@ -6,6 +6,8 @@ a field measurement. Stacks are (n_frames, height, width) in the stored dtype, l
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from scipy.ndimage import median_filter
 from pv_inspect.common.robust import MAD_TO_SIGMA
 
 __all__ = [
+    "Raw",
     "black_level",
     "column_offsets",
     "defective_pixels",
@@ -23,6 +26,8 @@ __all__ = [
     "temporal_median",
 ]
 
+# Counts, or computed values brought to the same scale.
+Raw: TypeAlias = NDArray[np.unsignedinteger | np.float32]
 Mask = NDArray[np.bool_]
 Image = NDArray[np.float32]
 
@@ -80,7 +85,7 @@ def effective_depth(maximum: int, used_bits: int, stored_bits: int) -> tuple[int
     return depth, float(2**depth - 1)
 
 
-def temporal_median(stack: NDArray[np.unsignedinteger]) -> Image:
+def temporal_median(stack: Raw) -> Image:
     """Return the median over the frames, (height, width) float32, DN."""
     n, height, width = stack.shape
     out = np.empty((height, width), np.float32)
@@ -110,12 +115,12 @@ def black_level(median: Image) -> float:
     return float(np.percentile(smooth, 1.0))
 
 
-def defective_pixels(stack: NDArray[np.unsignedinteger], full_scale: float) -> Mask:
+def defective_pixels(stack: Raw, full_scale: float) -> Mask:
     """Find hot and dead pixels: they stay on the sensor while the module moves.
 
     Parameters
     ----------
-    stack : (n_frames, height, width) uint8 or uint16, DN
+    stack : (n_frames, height, width) uint8, uint16 or float32, DN
         Frames of the sequence; at least 3 for the temporal test, fewer leave the spatial one.
     full_scale : float
         DN at saturation.
@@ -163,9 +168,7 @@ def defective_pixels(stack: NDArray[np.unsignedinteger], full_scale: float) -> M
     return defective
 
 
-def _spread(
-    stack: NDArray[np.unsignedinteger], rows: NDArray[np.intp], cols: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _spread(stack: Raw, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return what the 4-neighbours of some pixels have of their deviation, (n_pixels,).
 
     The deviation is from the median of the 16 pixels at distance 2, in the median over the
@@ -187,7 +190,7 @@ def _spread(
     return share / np.maximum(np.abs(peak), 1e-9)
 
 
-def _stands_still(stack: NDArray[np.unsignedinteger]) -> bool:
+def _stands_still(stack: Raw) -> bool:
     """Tell whether the detail of the frames stays on the same pixels."""
     half = len(stack) // 2
     correlations = []
@@ -204,7 +207,7 @@ def _stands_still(stack: NDArray[np.unsignedinteger]) -> bool:
     return bool(correlations) and float(np.median(correlations)) > _STILL
 
 
-def _temporal_deviation(stack: NDArray[np.unsignedinteger]) -> tuple[Image, Image, Image]:
+def _temporal_deviation(stack: Raw) -> tuple[Image, Image, Image]:
     """Return median, weak and strong quartile over the frames of (pixel - 3 x 3 median), DN.
 
     The quartiles are counted in the direction of the median: weak is what three quarters of the
@@ -230,12 +233,12 @@ def _temporal_deviation(stack: NDArray[np.unsignedinteger]) -> tuple[Image, Imag
     return middle, weak, strong
 
 
-def column_offsets(stack: NDArray[np.unsignedinteger], full_scale: float) -> NDArray[np.float32]:
+def column_offsets(stack: Raw, full_scale: float) -> NDArray[np.float32]:
     """Estimate the fixed offset of every column from the night above and below the module.
 
     Parameters
     ----------
-    stack : (n_frames, height, width) uint8 or uint16, DN
+    stack : (n_frames, height, width) uint8, uint16 or float32, DN
     full_scale : float
         DN at saturation.
 
@@ -293,14 +296,12 @@ _LEAST_LIGHT = 0.05
 _UNLIT = 0.1
 
 
-def flat_field(
-    flat: NDArray[np.unsignedinteger], black: NDArray[np.float32], full_scale: float
-) -> Image:
+def flat_field(flat: Raw, black: NDArray[np.float32], full_scale: float) -> Image:
     """Turn an image of an evenly bright surface into the relative response of every pixel.
 
     Parameters
     ----------
-    flat : (height, width) uint8 or uint16, DN
+    flat : (height, width) uint8, uint16 or float32, DN
     black : (width,) or (height, width) float32
         What a pixel says without light, DN.
     full_scale : float

@@ -16,25 +16,29 @@ from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence.copies import FrameContents
+from pv_inspect.sequence.file_warnings import said_of_frames
 from pv_inspect.sequence.frame import Frame, prepared
 from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.sequence.frame_list import list_frames
 from pv_inspect.sequence.noise import NoiseModel, estimate_noise
-from pv_inspect.sequence.opening import DecodedFrames, check_frames, read_reference
+from pv_inspect.sequence.opening import (
+    DecodedFrames,
+    check_frames,
+    read_reference,
+    reference_dn,
+)
 from pv_inspect.sequence.sensor import (
     black_level,
     column_offsets,
     defective_pixels,
-    effective_depth,
     flat_field,
     temporal_median,
 )
 from pv_inspect.sequence.sidecar import read_sidecar
+from pv_inspect.sequence.values import Raw, ValueScale, comparable
 from pv_inspect.settings import Settings
 
 __all__ = ["FrameSequence", "NoiseModel", "cached_frames", "open_sequence"]
-
-Raw = NDArray[np.unsignedinteger]
 
 # Frames that the sensor's properties are estimated from; more add time, not knowledge.
 _SAMPLE_FRAMES = 24
@@ -91,13 +95,15 @@ class FrameSequence:
         File name per frame: ``frame_003.tif``, or ``stack.tif[3]`` for a page.
     shape : tuple of int
         (height, width) of every frame.
-    bit_depth : int
-        Bits that the camera delivers, for instance 12 though stored in 16.
+    bit_depth : int or None
+        Bits that the camera delivers, for instance 12 though stored in 16; None where the files
+        hold computed values (averaged, corrected), see `pv_inspect.sequence.values`.
     full_scale : float
-        DN at saturation.
+        Stored value at saturation; for computed values what is taken for it.
     black_level : float
-        DN without light: estimated, or the median of the dark frame. :meth:`frame` subtracts it
-        together with the fixed offsets of the columns (or the dark frame pixel by pixel).
+        Stored value without light: estimated, or the median of the dark frame. :meth:`frame`
+        subtracts it together with the fixed offsets of the columns (or the dark frame pixel by
+        pixel).
     layout_hint : dict
         What ``module.json`` says of "rows", "cols", "cell_aspect"; empty if there is none.
     source : Path
@@ -117,7 +123,7 @@ class FrameSequence:
 
     names: tuple[str, ...]
     shape: tuple[int, int]
-    bit_depth: int
+    bit_depth: int | None
     full_scale: float
     black_level: float
     layout_hint: dict[str, Any]
@@ -128,6 +134,7 @@ class FrameSequence:
     # (width,) or, out of a dark frame, (height, width); DN.
     _black: NDArray[np.float32] = field(repr=False)
     _cache: _FrameCache = field(repr=False)
+    _scale: ValueScale = field(repr=False)
     # (height, width) relative response out of a flat frame, 0 where there is none.
     _flat: NDArray[np.float32] | None = field(default=None, repr=False)
     opened_from: Path | tuple[Path, ...] = ()
@@ -141,21 +148,25 @@ class FrameSequence:
         dark_frame: Path | str | None = None,
         flat_frame: Path | str | None = None,
         limits: ReadLimits | None = None,
+        series: str | None = None,
     ) -> FrameSequence:
         """Open frames and check all of them.
 
         Parameters
         ----------
         source : path or paths
-            A folder of 8- or 16-bit TIFF or PNG files (or one that holds such a folder called
-            ``frames``), a TIFF of several pages, or a list of files. A folder is read in natural
-            order (frame_2 before frame_10), a list in its own.
+            A folder of images (or one that holds such a folder called ``frames``), a file that
+            holds several, or a list of files. A folder is read in natural order (frame_2 before
+            frame_10), a list in its own.
         dark_frame : path, optional
             Image taken without current with the same camera and exposure.
         flat_frame : path, optional
             Image of an evenly bright surface taken with the same camera and lens.
         limits : ReadLimits, optional
             What is read at most, `Settings.read_limits`; the default limits if not given.
+        series : str, optional
+            Name, or number from 1, of the pictures that are meant where a file holds several
+            series of them.
 
         Raises
         ------
@@ -165,46 +176,53 @@ class FrameSequence:
         limits = limits or ReadLimits()
         if not isinstance(source, (str, Path)):
             source = list(source)
-        found = list_frames(source, limits)
+        found = list_frames(source, limits, series)
         root, files, names = found.root, found.files, found.names
         hint = read_sidecar(root, list(found.paths))
         contents = FrameContents()
         decoded = DecodedFrames(files, _SAMPLE_BYTES)
-        shape, maximum, used_bits = check_frames(files, names, contents, decoded)
-        copies = contents.copies(decoded.__getitem__)
+        shape, survey = check_frames(files, names, contents, decoded)
+        copies = contents.copies(lambda index: comparable(decoded[index]))
         dtype = files[0].dtype
-        dark = None
+        dark_raw = flat_raw = None
         if dark_frame is not None:
-            dark = read_reference(Path(dark_frame), "dark", shape, dtype, limits)
-            maximum = max(maximum, int(dark.max()))
-            used_bits |= int(np.bitwise_or.reduce(dark, axis=None))
-        depth, full_scale = effective_depth(maximum, used_bits, 8 * dtype.itemsize)
+            dark_raw = read_reference(Path(dark_frame), "dark", shape, files[0], limits)
+            survey.reach(dark_raw)
+        if flat_frame is not None:
+            flat_raw = read_reference(Path(flat_frame), "flat", shape, files[0], limits)
+            if flat_raw.dtype.kind == "f":
+                survey.reach(flat_raw)
+        scale = survey.scale([file.picture for file in files])
+        full_scale = scale.full_scale_dn
 
         distinct = [index for index in range(len(files)) if index not in copies]
-        most = max(_LEAST_SAMPLES, _SAMPLE_BYTES // (dtype.itemsize * shape[0] * shape[1]))
+        size = max(dtype.itemsize, 4 * (dtype.kind == "f"))
+        most = max(_LEAST_SAMPLES, _SAMPLE_BYTES // (size * shape[0] * shape[1]))
         n_picks = min(len(distinct), _SAMPLE_FRAMES, most)
         picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
-        stack = np.stack([decoded[distinct[int(i)]] for i in picks])
+        raws = [decoded[distinct[int(i)]] for i in picks]
+        stack = np.stack([scale.dn(raw)[0] for raw in raws])
         defects = defective_pixels(stack, full_scale)
-        if dark is None:
+        if dark_raw is None:
             columns = column_offsets(stack, full_scale)
             level = min(black_level(temporal_median(stack) - columns), 0.5 * full_scale)
             black = columns + np.float32(level)
         else:
+            dark = reference_dn(dark_raw, scale)
             black, level = dark.astype(np.float32), float(np.median(dark))
             bright = float(np.percentile(temporal_median(stack), 99.0))
             if level >= full_scale or level > bright:
                 raise InspectionError(
-                    f"The dark frame {dark_frame} has a median of {level:g} DN and is brighter "
-                    f"than the frames ({bright:g} DN): give the image taken without current."
+                    f"The dark frame {dark_frame} has a median of {level / scale.factor:g} DN and "
+                    f"is brighter than the frames ({bright / scale.factor:g} DN): give the image "
+                    "taken without current."
                 )
             defects |= defective_pixels(dark[None], full_scale)
         defects.flags.writeable = False
         flat = None
-        if flat_frame is not None:
-            exposed = read_reference(Path(flat_frame), "flat", shape, dtype, limits)
+        if flat_raw is not None:
             try:
-                flat = flat_field(exposed, black, full_scale)
+                flat = flat_field(reference_dn(flat_raw, scale), black, full_scale)
             except ValueError as error:
                 raise InspectionError(
                     f"The flat frame {flat_frame} {error}: take an evenly bright surface that "
@@ -213,16 +231,16 @@ class FrameSequence:
             defects = defects | (flat == 0.0)
             defects.flags.writeable = False
         frames = [
-            prepared(raw, black, level, full_scale, defects, flat)
-            for raw in stack[:: max(1, len(stack) // 8)]
+            prepared(raw, black, level, scale, defects, flat)
+            for raw in raws[:: max(1, len(raws) // 8)]
         ]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
         return cls(
             names,
             shape,
-            depth,
-            full_scale,
-            level,
+            scale.bit_depth,
+            scale.full_scale,
+            level / scale.factor,
             hint,
             root,
             noise,
@@ -230,19 +248,20 @@ class FrameSequence:
             files,
             black,
             _FrameCache(cached_frames(len(names), shape)),
+            scale,
             flat,
             root.absolute()
             if isinstance(source, (str, Path))
             else tuple(path.absolute() for path in found.paths),
             copies,
-            found.warnings,
+            (*found.warnings, *said_of_frames(files, survey, scale, len(decoded.tinted))),
         )
 
     def __len__(self) -> int:
         return len(self.names)
 
     def raw(self, index: int) -> Raw:
-        """Read frame ``index`` as stored: (height, width) uint8 or uint16, DN."""
+        """Read frame ``index`` as stored: (height, width) uint8, uint16 or float32."""
         return read_frame(self._files[index])
 
     def frame(self, index: int) -> Frame:
@@ -261,8 +280,8 @@ class FrameSequence:
             frame = prepared(
                 self.raw(index),
                 self._black,
-                self.black_level,
-                self.full_scale,
+                self.black_level * self._scale.factor,
+                self._scale,
                 self.defects,
                 self._flat,
             )
@@ -314,17 +333,20 @@ def open_sequence(
     dark_frame: Path | str | None = None,
     flat_frame: Path | str | None = None,
     limits: ReadLimits | None = None,
+    series: str | None = None,
 ) -> FrameSequence:
     """Open frames and check all of them; `FrameSequence.open` says more.
 
     Parameters
     ----------
     source : path or paths
-        A folder of frames, a TIFF of several pages, or a list of files.
+        A folder of frames, a file that holds several, or a list of files.
     dark_frame, flat_frame : path, optional
         Reference images of the camera.
     limits : ReadLimits, optional
         What is read at most.
+    series : str, optional
+        Which pictures are meant where a file holds several series of them: name, or number from 1.
 
     Returns
     -------
@@ -335,4 +357,4 @@ def open_sequence(
     InspectionError
         If anything is missing, unreadable, of different sizes or of the wrong type.
     """
-    return FrameSequence.open(source, dark_frame, flat_frame, limits)
+    return FrameSequence.open(source, dark_frame, flat_frame, limits, series)

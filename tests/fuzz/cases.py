@@ -16,6 +16,7 @@ from tests.fuzz.raw import damaged, tiffs
 from tests.fuzz.readers import matching
 from tests.fuzz.stored import databases, models, zips
 from tests.fuzz.texts import encoded, json_texts, odd_strings, tokens
+from tests.fuzz.values import VALUE_TYPES, odd_values
 
 __all__ = ["CASES", "SHARES"]
 
@@ -36,6 +37,45 @@ def _png_frames(draw: st.DrawFn) -> Case:
     if draw(st.booleans()):
         files = [(known, None) for known in seeds.frames() if known.endswith(".tif")] + files
     return Case("frames", tuple(files))
+
+
+@st.composite
+def _photo_frames(draw: st.DrawFn) -> Case:
+    """JPEG and BMP, alone or beside the others."""
+    suffix = draw(st.sampled_from((".jpg", ".jpeg", ".bmp")))
+    name = draw(st.sampled_from(("frame_1", "frame_9", "preview")))
+    files: list[tuple[str, bytes | None]] = [(f"frames/{name}{suffix}", draw(jpegs()))]
+    if draw(st.booleans()):
+        files = [(known, None) for known in seeds.frames() if not known.endswith(".json")] + files
+    return Case("frames", tuple(files))
+
+
+@st.composite
+def _value_frames(draw: st.DrawFn) -> Case:
+    """Whole TIFF files whose values are odd."""
+    files: list[tuple[str, bytes | None]] = [
+        (known, None) for known in seeds.frames() if not known.endswith(".json")
+    ]
+    odd, dtype = draw(odd_values()), draw(st.sampled_from(VALUE_TYPES))
+    files += [
+        (f"frames/f_{k}.tif", seeds.tiff_of(odd(seeds.picture(k), dtype)))
+        for k in range(draw(st.integers(1, 3)))
+    ]
+    return Case("frames", tuple(files))
+
+
+@st.composite
+def _series_frames(draw: st.DrawFn) -> Case:
+    """Stacks of several series, with a wish or without one."""
+    stacks = [data for data in seeds.tiffs() if len(data) > 20_000]
+    data = draw(st.sampled_from(stacks))
+    if draw(st.booleans()):
+        data = draw(damaged(data))
+    files: list[tuple[str, bytes | None]] = [
+        (known, None) for known in seeds.frames() if not known.endswith(".json")
+    ]
+    wish = draw(st.one_of(st.just(()), st.sampled_from((("1",), ("2",))), st.tuples(odd_strings)))
+    return Case("frames", (*files, ("frames/stack.tif", data)), wish)
 
 
 @st.composite
@@ -231,6 +271,9 @@ def _speakable(argument: str) -> str:
 CASES: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "frames, TIFF": _tiff_frames,
     "frames, PNG": _png_frames,
+    "frames, photos": _photo_frames,
+    "frames, values": _value_frames,
+    "frames, series": _series_frames,
     "frames, odd names": _named_frames,
     "links, pipes, devices": _links,
     "module.json": _sidecars,
@@ -250,6 +293,9 @@ CASES: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
 SHARES = {
     "frames, TIFF": 24,
     "frames, PNG": 10,
+    "frames, photos": 4,
+    "frames, values": 4,
+    "frames, series": 3,
     "frames, odd names": 3,
     "links, pipes, devices": 2,
     "module.json": 5,

@@ -23,6 +23,7 @@ import numpy as np
 
 from pv_inspect.errors import InspectionError
 from tests.fuzz import seeds
+from tests.fuzz.case import fault_of
 
 __all__ = ["MISBEHAVIOUR", "READERS", "Kind", "prepared"]
 
@@ -58,10 +59,10 @@ def prepared(reader: str, folder: Path) -> None:
         path.write_bytes(content)
 
 
-def _frames(folder: Path, _: Args) -> None:
+def _frames(folder: Path, args: Args) -> None:
     from pv_inspect.sequence.sequence import FrameSequence
 
-    sequence = FrameSequence.open(folder / "frames")
+    sequence = FrameSequence.open(folder / "frames", series=args[0] if args else None)
     _check_sequence(sequence)
 
 
@@ -75,8 +76,13 @@ def _references(folder: Path, args: Args) -> None:
 def _check_sequence(sequence: Any) -> None:
     assert len(set(sequence.names)) == len(sequence) >= 1
     assert np.isfinite([sequence.full_scale, sequence.black_level]).all()
-    assert 0 <= sequence.black_level < sequence.full_scale
-    assert 1 <= sequence.bit_depth <= 16
+    assert sequence.black_level < sequence.full_scale
+    if sequence.bit_depth is None:
+        assert any("computed values" in text for text in sequence.warnings)
+    else:
+        assert sequence.black_level >= 0
+        assert 1 <= sequence.bit_depth <= 16
+    assert not any(map(fault_of, sequence.warnings)), sequence.warnings
     for index in {0, len(sequence) // 2, len(sequence) - 1}:
         frame = sequence.frame(index)
         assert frame.image.shape == frame.valid.shape == sequence.shape
@@ -144,25 +150,22 @@ def _camera(folder: Path, args: Args) -> None:
 
 
 def _result(folder: Path, _: Args) -> None:
-    from pv_inspect.cracks import CrackMap
-    from pv_inspect.reconstruction.reconstruction import Reconstruction
-    from pv_inspect.registration.registration import Registration
     from pv_inspect.results.read import read_result
     from pv_inspect.results.resume import reopen, resume
 
     result = read_result(folder / "result")
-    made, found, layout = result.need(Reconstruction), result.need(CrackMap), result.layout
-    assert made.image.shape == made.support.shape == found.probability.shape
-    assert made.image.shape == made.consistency.shape == made.grid.shape
-    assert np.isfinite(result.need(Registration).camera.K).all()
-    assert np.isfinite([found.threshold, made.grid.pixels_per_unit]).all()
-    assert made.grid.pixels_per_unit > 0
-    assert np.isfinite(made.grid.origin_px).all()
-    assert all((c.row, c.col) < (layout.rows, layout.cols) for c in found.cells)
+    layout = result.grid.layout
+    assert result.image.shape == result.support.shape == result.cracks.shape
+    assert result.image.shape == result.consistency.shape == result.grid.shape
+    assert np.isfinite(result.camera.K).all()
+    assert np.isfinite([result.crack_threshold, result.grid.pixels_per_unit]).all()
+    assert result.grid.pixels_per_unit > 0
+    assert np.isfinite(result.grid.origin_px).all()
+    assert all((c.row, c.col) < (layout.rows, layout.cols) for c in result.cells)
     _check_settings(result.settings)
     repr(result)
     inspection = resume(result, reopen(result))
-    assert len(inspection.need(Registration).used) == len(inspection.frames)
+    assert len(inspection.registration.used) == len(inspection.sequence)  # type: ignore[union-attr]
     assert inspection.tiles is not None
     assert inspection.tiles.images.shape[:2] == (layout.rows, layout.cols)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import sqlite3
+import struct
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,16 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-__all__ = ["jpegs", "pictures", "pngs", "result_files", "settings_text", "stored_review", "tiffs"]
+__all__ = [
+    "jpegs",
+    "pictures",
+    "pngs",
+    "result_files",
+    "settings_text",
+    "stored_review",
+    "tiff_of",
+    "tiffs",
+]
 
 Picture = NDArray[Any]
 HEIGHT, WIDTH = 60, 80
@@ -38,6 +48,32 @@ def _tiff(images: Picture | list[Picture], **how: Any) -> bytes:
         for image in images if isinstance(images, list) else [images]:
             writer.write(image, **how)
     return buffer.getvalue()
+
+
+def tiff_of(image: Picture) -> bytes:
+    """Store a picture as it is."""
+    return _tiff(image, photometric="minisblack", metadata=None)
+
+
+def _truncated(images: Picture, **how: Any) -> bytes:
+    buffer = io.BytesIO()
+    tifffile.imwrite(buffer, images, truncate=True, photometric="minisblack", **how)
+    return buffer.getvalue()
+
+
+def _packed(image: Picture) -> bytes:
+    """12 bits without gaps: the directory of 16 bits, with less behind it."""
+    low, high = image[:, ::2].astype(int), image[:, 1::2].astype(int)
+    packed = np.dstack([low >> 4, (low & 15) << 4 | high >> 8, high & 255]).astype(np.uint8)
+    buffer = io.BytesIO(_tiff(image, photometric="minisblack", metadata=None))
+    with tifffile.TiffFile(buffer, mode="r+b") as file:
+        tags = file.pages[0].tags
+        tags[258].overwrite(12)
+        tags[279].overwrite(packed.nbytes)
+        at = file.pages[0].dataoffsets[0]
+    data = bytearray(buffer.getvalue())
+    data[at : at + packed.nbytes] = packed.tobytes()
+    return bytes(data)
 
 
 def _by_opencv(suffix: str, image: Picture, *options: int) -> bytes:
@@ -73,6 +109,14 @@ def tiffs() -> tuple[bytes, ...]:
         _tiff(np.stack([narrow] * 3), photometric="rgb", planarconfig="separate", metadata=None),
         _tiff(narrow, photometric="palette", colormap=np.zeros((3, 256), np.uint16), metadata=None),
         _tiff(wide, subifds=0, description="frame 1", software="camera", **grey),
+        _tiff(np.where(wide > 9000, wide / 1e4, np.nan).astype(np.float32), **grey),
+        _tiff((wide / 65535).astype(np.float64), byteorder=">", **grey),
+        _tiff(wide.astype(np.int32) - 20000, compression="zlib", **grey),
+        _tiff(wide, extratags=[(274, "H", 1, 6, True)], **grey),
+        _tiff([*pages, picture(3)[:40]], ome=True, photometric="minisblack"),
+        _truncated(np.stack(pages), imagej=True),
+        _truncated(np.stack(pages)),
+        _packed(wide >> 4),
         _by_opencv(".tif", wide, cv2.IMWRITE_TIFF_COMPRESSION, 5),  # LZW
         _by_opencv(".tif", narrow, cv2.IMWRITE_TIFF_COMPRESSION, 5),
         _by_opencv(".tif", narrow, cv2.IMWRITE_TIFF_COMPRESSION, 7),  # JPEG
@@ -91,8 +135,14 @@ def pngs() -> tuple[bytes, ...]:
         _by_opencv(".png", np.dstack([wide] * 4)),
         _by_opencv(".png", (narrow > 100).astype(np.uint8) * 255, cv2.IMWRITE_PNG_BILEVEL, 1),
         _by_opencv(".png", wide, cv2.IMWRITE_PNG_COMPRESSION, 0),
+        _by_opencv(".png", np.dstack([narrow, narrow - 2, narrow - 5])),
     ]
     return tuple(found)
+
+
+def _with_exif(jpeg: bytes, orientation: int) -> bytes:
+    exif = b"Exif\0\0II*\0\x08\0\0\0\1\0" + struct.pack("<HHIHHI", 274, 3, 1, orientation, 0, 0)
+    return jpeg[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2) + exif + jpeg[2:]
 
 
 @cache
@@ -104,6 +154,7 @@ def jpegs() -> tuple[bytes, ...]:
         _by_opencv(".jpg", np.dstack([narrow] * 3)),
         _by_opencv(".jpg", narrow, cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
         _by_opencv(".jpg", narrow, cv2.IMWRITE_JPEG_RST_INTERVAL, 2),
+        _with_exif(_by_opencv(".jpg", narrow), 6),
         _by_opencv(".bmp", narrow),
         _by_opencv(".bmp", np.dstack([narrow] * 3)),
     )

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from numpy.typing import NDArray
 from PIL import Image
 
 from pv_inspect.errors import InspectionError
@@ -98,6 +99,49 @@ def test_bits_in_the_other_order_are_turned_round(tmp_path: Path) -> None:
     (tmp_path / "x.tif").write_bytes(tiff([page], data))
     read = read_frame(expand(tmp_path / "x.tif")[0])
     assert read.tolist() == [[0b10000000, 0b00000001, 0b01001000]]
+
+
+@pytest.mark.parametrize("bits", range(9, 16))
+@pytest.mark.parametrize("width", [93, 64])
+@pytest.mark.parametrize("packing", ["strips", "deflate", "tiles", "white is zero"])
+def test_packed_values_are_unpacked(tmp_path: Path, bits: int, width: int, packing: str) -> None:
+    height = 40
+    values = np.random.default_rng(bits).integers(0, 2**bits, (height, width), np.uint16)
+    high, wide = (16, 32) if packing == "tiles" else (13, width)
+    parts = []
+    for top in range(0, height, high):
+        for left in range(0, width, wide):
+            part = np.zeros((high, wide), np.uint16)
+            here = values[top : top + high, left : left + wide]
+            part[: here.shape[0], : here.shape[1]] = here
+            rows = part if packing == "tiles" else part[: here.shape[0]]
+            parts.append(b"".join(packed_line(row, bits) for row in rows))
+    if packing == "deflate":
+        parts = [zlib.compress(part) for part in parts]
+    at = np.cumsum([8, *map(len, parts)])[:-1].tolist()
+    page = tags(height, width, 8, 0, t258=(3, [bits]), t273=(4, at), t278=(4, [high]))
+    page |= {279: (4, [len(part) for part in parts])}
+    if packing == "tiles":
+        page |= {324: page.pop(273), 325: page.pop(279), 322: (4, [wide]), 323: (4, [high])}
+    elif packing == "deflate":
+        page[259] = (3, [8])
+    elif packing == "white is zero":
+        page[262], values = (3, [0]), (2**bits - 1) - values
+    (tmp_path / "x.tif").write_bytes(tiff([page], b"".join(parts)))
+    (file,) = expand(tmp_path / "x.tif")
+    assert (file.dtype, file.picture.bits) == (np.uint16, bits)
+    np.testing.assert_array_equal(read_frame(file), values)
+
+
+def packed_line(row: NDArray[np.uint16], bits: int) -> bytes:
+    text = "".join(f"{value:0{bits}b}" for value in row.tolist())
+    return bytes(int(text[k : k + 8].ljust(8, "0"), 2) for k in range(0, len(text), 8))
+
+
+def test_packed_values_that_end_early_are_told(tmp_path: Path) -> None:
+    page = tags(10, 9, 8, 139, t258=(3, [12]))
+    said = complaint_of(tmp_path / "x.tif", tiff([page], bytes(139)))
+    assert "a part of its pixels has 139 of 140 bytes" in said
 
 
 def test_thumbnails_are_no_frames(tmp_path: Path) -> None:
@@ -190,10 +234,10 @@ def test_pixels_that_are_missing_are_never_filled(tmp_path: Path, coding: int, d
 @pytest.mark.parametrize(
     ("page", "said"),
     [
-        ({258: (3, [12])}, "12-bit values packed without gaps, but frames are 8- or 16-bit"),
-        ({258: (3, [1])}, "1-bit values packed"),
+        ({258: (3, [1])}, "1-bit values, but frames have at least 8 bits"),
+        ({258: (3, [12]), 259: (3, [5]), 317: (3, [2])}, "differences of kind 2 between 12-bit"),
         ({258: (3, [24])}, "uint values of 24 bits, which needs a decoder that is not installed"),
-        ({339: (3, [6]), 258: (3, [64])}, "complex64 values, but frames are 8- or 16-bit"),
+        ({339: (3, [6]), 258: (3, [64])}, "complex64 values, but frames are whole or floating"),
         ({277: (3, [7])}, "has 7 channels, but a frame is height x width"),
         ({32997: (4, [5])}, "holds a volume"),
         ({259: (3, [50000])}, "Zstandard (compression 50000), which needs a decoder"),

@@ -20,11 +20,10 @@ from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.models.history import Action
 from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
-from tests.waiting import LONG_S
 
 __all__ = ["Monkey"]
 
-HANG_S = 2 * LONG_S
+HANG_S = 120.0
 WEIGHTS = {
     "verdict": 12,
     "drag_point": 6,
@@ -124,9 +123,9 @@ class Monkey:
             QApplication.processEvents()
             time.sleep(0.002)
 
-    def until(self, happened: Callable[[], bool], what: str) -> None:
+    def until(self, happened: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
         """Wait for something."""
-        end = time.monotonic() + LONG_S
+        end = time.monotonic() + timeout_s
         while not happened():
             assert time.monotonic() < end, f"In vain: {what}; {self.done}"
             self.wait(0.01)

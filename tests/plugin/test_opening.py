@@ -19,7 +19,6 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.session import Session, read_session, write_session
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
@@ -42,7 +41,7 @@ def app(make_napari_viewer: Callable[..., Any]) -> tuple[Any, Any, Any]:
 
 
 def opened(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
 
 
 def add(viewer: Any, layers: list[Any]) -> None:
@@ -82,7 +81,7 @@ def test_another_lambda_runs_from_the_stored_geometry(
     before = model.inspection
     model.change_settings(prior_weight=3.0)
     assert dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=60_000)
     assert model.inspection.complete
     assert model.inspection.registration is before.registration
     assert not np.array_equal(model.inspection.reconstruction.image, before.reconstruction.image)
@@ -123,9 +122,7 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
     image = viewer.layers["Module image"]
-    middle = dock.workbench.model.result.need(Reconstruction).grid.to_pixels(
-        np.array([[0.5, 0.5]])
-    )[0]
+    middle = dock.workbench.model.result.grid.to_pixels(np.array([[0.5, 0.5]]))[0]
     y, x = image.data_to_world((middle[1], middle[0]))
     assert tuple(viewer.scene.camera.center[-2:]) == pytest.approx((y, x), abs=1.0)
 
@@ -140,9 +137,9 @@ def test_the_selected_cell_the_frame_and_the_page_come_back(
     assert dock.workbench.model.selected_cell == (1, 2)
     assert viewer.dims.current_step[0] == 3
     assert dock.pages.tabText(dock.pages.currentIndex()) == "Frames"
-    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5))
+    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5), timeout=2000)
     dock.workbench.model.select_cell((2, 1))
-    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1))
+    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1), timeout=3000)
 
 
 def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
@@ -150,9 +147,9 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
 ) -> None:
     viewer, dock, _ = workbench
     dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None)
+    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None, timeout=10_000)
     dock.workbench.model.select_cell((0, 3))
     viewer.dims.set_current_step(0, 4)
     viewer.close()
@@ -226,7 +223,7 @@ def test_a_dropped_folder_without_frames_is_one_sentence_and_an_array_is_left_to
     drop(viewer, tmp_path / "empty")
     opened(dock, qtbot)
     assert len(notices) == 1
-    assert "holds no TIFF or PNG image" in notices[0]
+    assert "holds no TIFF, PNG, JPEG or BMP image" in notices[0]
     assert left == []
     drop(viewer, tmp_path / "array")
     assert len(left) == 1

@@ -13,6 +13,7 @@ from npe2 import PluginManifest
 import napari_pv_inspect
 from napari_pv_inspect.layers.layer_data import RESULT_KEY, SEQUENCE_KEY
 from napari_pv_inspect.reader import get_reader, read_result, read_sequence
+from pv_inspect.image_files.endings import FRAME_ENDINGS, PATTERNS
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
@@ -88,6 +89,17 @@ def test_a_result_folder_becomes_module_image_support_and_cracks(
     assert tiny_inspection.reconstruction is not None
     np.testing.assert_array_equal(layers[0][0], tiny_inspection.reconstruction.image)
     assert RESULT_KEY in layers[0][1]["metadata"]
+
+
+def test_the_workbench_opens_what_the_command_line_opens(tmp_path: Path) -> None:
+    manifest = PluginManifest.from_file(MANIFEST)
+    (reader,) = manifest.contributions.readers or []
+    assert sorted(reader.filename_patterns) == sorted(PATTERNS.split())
+    for ending in FRAME_ENDINGS:
+        path = tmp_path / f"x{ending.upper()}"
+        path.write_bytes(b"")
+        assert get_reader(str(path)) is read_sequence
+        assert get_reader([str(path)]) is read_sequence
 
 
 def test_other_paths_are_left_to_other_readers(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import tifffile
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.sequence.frame_files import FrameFile, read_frame
+from pv_inspect.sequence.frame_files import FrameFile, read_tinted
 from pv_inspect.sequence.frame_list import existing_image, list_frames
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -185,9 +185,9 @@ def test_the_limits_are_settings(folder: Path) -> None:
 def test_frames_of_other_sizes_are_refused_before_anything_is_decoded(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write(folder / "other.tif", shape=(60, 50))
-    monkeypatch.setattr("pv_inspect.sequence.opening.read_frame", None)
-    with pytest.raises(InspectionError, match=r"other\.tif is 50 x 60, the sequence is 50 x 40"):
+    write(folder / "frame_9.tif", shape=(60, 50))
+    monkeypatch.setattr("pv_inspect.sequence.opening.read_tinted", None)
+    with pytest.raises(InspectionError, match=r"frame_9\.tif is 50 x 60, the sequence is 50 x 40"):
         FrameSequence.open(folder)
 
 
@@ -217,8 +217,8 @@ def test_opening_decodes_every_frame_once(folder: Path, monkeypatch: pytest.Monk
 
     def counted(file: FrameFile) -> Any:
         decoded.append(str(file))
-        return read_frame(file)
+        return read_tinted(file)
 
-    monkeypatch.setattr("pv_inspect.sequence.opening.read_frame", counted)
+    monkeypatch.setattr("pv_inspect.sequence.opening.read_tinted", counted)
     sequence = FrameSequence.open(folder)
     assert len(decoded) == len(set(decoded)) == len(sequence)

@@ -45,6 +45,9 @@ def test_whatever_stands_in_it_is_told_in_one_sentence(
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     assert read(tmp_path, b'\xef\xbb\xbf{"rows": 6}') == {"rows": 6}
+    for coding in ("utf-16", "utf-16-be"):
+        text = '{"rows": 6}' if coding == "utf-16" else '\ufeff{"rows": 6}'
+        assert read(tmp_path, text.encode(coding)) == {"rows": 6}
 
 
 def test_a_note_that_is_no_file_is_told(tmp_path: Path) -> None:

@@ -40,7 +40,9 @@ from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.style import ThemedStyle, WheelNeedsFocus, finish_typing
 from napari_pv_inspect.workbench import Workbench
+from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
@@ -65,9 +67,9 @@ class InspectDock(QWidget):
         super().__init__()
         self.workbench = workbench = Workbench.of(napari_viewer)
         self.open_folder = QPushButton("Open...")
-        self.open_folder.setToolTip(
-            "Open a folder: 8 or 16 bit TIFF or PNG frames of one module, or a result."
-        )
+        self.open_folder.setToolTip("Open a folder: frames of one module, or a result.")
+        self.open_files = QPushButton("File...")
+        self.open_files.setToolTip("Open a file that holds several frames, or some frames.")
         self.open_sample = QPushButton("Sample")
         self.open_sample.setToolTip("Open the sample module.")
         self.name, self.headline = ElidedLabel(), QLabel()
@@ -89,7 +91,8 @@ class InspectDock(QWidget):
         sources.addWidget(self.name, 0, 0)
         sources.addWidget(self.headline, 1, 0)
         sources.addWidget(self.open_folder, 0, 1, 2, 1)
-        sources.addWidget(self.open_sample, 0, 2, 2, 1)
+        sources.addWidget(self.open_files, 0, 2, 2, 1)
+        sources.addWidget(self.open_sample, 0, 3, 2, 1)
         sources.setColumnStretch(0, 1)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 2, 6, 2)
@@ -116,6 +119,7 @@ class InspectDock(QWidget):
         self._style = ThemedStyle(self, workbench.viewer)
         self._calm = WheelNeedsFocus(self)
         self.open_folder.clicked.connect(self._on_open_folder)
+        self.open_files.clicked.connect(self._on_open_files)
         self.open_sample.clicked.connect(self._on_open_sample)
         self.module.detect_wanted.connect(self._on_detect)
         self.image.live_wanted.connect(self._on_live)
@@ -170,12 +174,12 @@ class InspectDock(QWidget):
             return
         height, width = sequence.shape
         facts = f"{len(sequence)} frames, {width} x {height} px"
-        self._tell(
-            sequence.source.name, facts, f"{sequence.source}: {facts}, {sequence.bit_depth} bit"
-        )
+        depth = sequence.bit_depth
+        values = "computed values" if depth is None else f"{depth} bit"
+        self._tell(sequence.source.name, facts, f"{sequence.source}: {facts}, {values}")
 
-    def _on_result(self, result: Inspection) -> None:
-        self._tell(result.source.name, "a result without its frames", str(result.source))
+    def _on_result(self, result: Result) -> None:
+        self._tell(result.folder.name, "a result without its frames", str(result.folder))
 
     def _tell(self, name: str, facts: str, tip: str) -> None:
         """Say what is open."""
@@ -232,6 +236,11 @@ class InspectDock(QWidget):
         folder = QFileDialog.getExistingDirectory(self, "Folder of frames")
         if folder:
             self.workbench.open(folder)
+
+    def _on_open_files(self) -> None:
+        files, _ = QFileDialog.getOpenFileNames(self, "Frames", "", f"Frames ({PATTERNS})")
+        if files:
+            self.workbench.open(files[0] if len(files) == 1 else files)
 
     def _on_open_sample(self) -> None:
         self.workbench.open(sample_folder())

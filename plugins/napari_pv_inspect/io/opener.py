@@ -19,6 +19,7 @@ from napari_pv_inspect.tasks.guard import attempt
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -37,8 +38,10 @@ class Opened:
     Parameters
     ----------
     sequence : FrameSequence or None
-    result : Inspection or None
-        Of a result folder; without a sequence if the frames can't be used.
+    inspection : Inspection or None
+        Of a result folder whose frames are still there.
+    result : Result or None
+        Of a result folder.
     references : (dark frame, flat frame)
         What the frames were read with.
     trouble : str
@@ -48,7 +51,8 @@ class Opened:
     """
 
     sequence: FrameSequence | None = None
-    result: Inspection | None = None
+    inspection: Inspection | None = None
+    result: Result | None = None
     references: References = (None, None)
     trouble: str = ""
     again: bool = False
@@ -60,26 +64,27 @@ def open_any(path: Any, settings: Settings) -> Opened:
         # Also what is read after the result itself belongs to it.
         return read_steadily(Path(path), lambda: open_result(read_result(Path(path))))
     references = (settings.dark_frame, settings.flat_frame)
-    return Opened(open_sequence(path, *references, settings.read_limits), references=references)
+    frames = open_sequence(path, *references, settings.read_limits, settings.series)
+    return Opened(frames, references=references)
 
 
-def open_result(result: Inspection) -> Opened:
+def open_result(result: Result) -> Opened:
     """Take a result up again, with its frames if they are still there."""
     references = (result.settings.dark_frame, result.settings.flat_frame)
     try:
-        whole = resume(result, reopen(result))
+        sequence = reopen(result)
+        inspection = resume(result, sequence)
     except InspectionError as error:
         return Opened(result=result, trouble=str(error))
-    return Opened(whole.sequence, whole, references)
+    return Opened(sequence, inspection, result, references)
 
 
 def open_again(sequence: FrameSequence, settings: Settings) -> Opened:
     """Read the same frames with other reference images."""
     references = (settings.dark_frame, settings.flat_frame)
     given = sequence.opened_from or sequence.source
-    return Opened(
-        open_sequence(given, *references, settings.read_limits), references=references, again=True
-    )
+    frames = open_sequence(given, *references, settings.read_limits, settings.series)
+    return Opened(frames, references=references, again=True)
 
 
 class Opener(QObject):
@@ -120,10 +125,10 @@ class Opener(QObject):
         self._name = name
         self._start(open_any, path, self._model.settings)
 
-    def restore(self, result: Inspection) -> None:
+    def restore(self, result: Result) -> None:
         """Put a result that was read already into the workbench, with its frames if possible."""
         if self.may_leave():
-            self._name = result.source.name
+            self._name = result.folder.name
             self._start(open_result, result)
 
     def close(self, wait_ms: int = 3000) -> None:
@@ -177,8 +182,8 @@ class Opener(QObject):
         model = self._model
         if opened.again and opened.sequence is not None:
             model.reopen(opened.sequence)
-        elif opened.result is not None and opened.result.sequence is not None:
-            model.restore(opened.result)
+        elif opened.inspection is not None and opened.result is not None:
+            model.restore(opened.inspection, opened.result)
         elif opened.result is not None:
             model.open_result(opened.result, opened.trouble)
         elif opened.sequence is not None:

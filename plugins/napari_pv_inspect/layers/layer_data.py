@@ -21,10 +21,9 @@ from napari_pv_inspect.appearance import (
     contrast_limits,
     crack_colormap,
 )
-from pv_inspect.cracks import CrackMap
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.read import read_result
+from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [
@@ -51,6 +50,7 @@ def open_sequence(
     dark_frame: Path | None = None,
     flat_frame: Path | None = None,
     limits: ReadLimits | None = None,
+    series: str | None = None,
 ) -> FrameSequence:
     """Open one path, or a list of frames, with the reference images of the camera if given.
 
@@ -60,7 +60,7 @@ def open_sequence(
         If the frames are no usable sequence.
     """
     given = path if isinstance(path, (str, Path)) else [Path(p) for p in path]
-    return FrameSequence.open(given, dark_frame, flat_frame, limits)
+    return FrameSequence.open(given, dark_frame, flat_frame, limits, series)
 
 
 def lazy_stack(sequence: FrameSequence) -> da.Array:
@@ -87,11 +87,10 @@ def sequence_layer(sequence: FrameSequence) -> LayerData:
 
 def result_layers(folder: Path) -> list[LayerData]:
     """Return module image, support and cracks of a result folder, the image carrying the result."""
-    result = read_result(folder)
-    made, found = result.need(Reconstruction), result.need(CrackMap)
+    result: Result = read_result(folder)
     image = {
         "name": MODULE,
-        "contrast_limits": contrast_limits(made.image),
+        "contrast_limits": contrast_limits(result.image),
         "colormap": "gray",
         "metadata": {RESULT_KEY: result, PART_KEY: MODULE},
     }
@@ -118,10 +117,10 @@ def result_layers(folder: Path) -> list[LayerData]:
         "opacity": 0.75,
     }
     return [
-        (made.image, image, "image"),
-        (made.support, support, "image"),
-        (made.consistency, consistency, "image"),
-        (found.probability, cracks, "image"),
+        (result.image, image, "image"),
+        (result.support, support, "image"),
+        (result.consistency, consistency, "image"),
+        (result.cracks, cracks, "image"),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Reference images of the camera: dark frame and flat frame."""
+"""How frames are read: dark frame and flat frame of the camera, and which series of a file."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from qtpy.QtWidgets import (
     QGroupBox,
     QHBoxLayout,
     QLabel,
+    QLineEdit,
     QPushButton,
     QSizePolicy,
     QWidget,
@@ -18,16 +19,17 @@ from qtpy.QtWidgets import (
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.listen import listen
 from napari_pv_inspect.widgets.slider import setting_tooltip
+from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.settings import Settings
 
 __all__ = ["ReferenceBox"]
 
 NONE = "none"
-IMAGES = "Images (*.tif *.tiff *.png)"
+IMAGES = f"Images ({PATTERNS})"
 
 
 class ReferenceBox(QGroupBox):
-    """Chooses dark and flat frame; the sequence is then read again."""
+    """Chooses dark and flat frame, the sequence is then read again; and the series to open."""
 
     def __init__(self, model: WorkbenchModel, parent: QWidget | None = None) -> None:
         super().__init__("Camera", parent)
@@ -37,6 +39,11 @@ class ReferenceBox(QGroupBox):
         form = QFormLayout(self)
         for setting, title in (("dark_frame", "Dark frame"), ("flat_frame", "Flat frame")):
             form.addRow(title, self._row(setting))
+        self.series = QLineEdit()
+        self.series.setPlaceholderText("the only one")
+        self.series.setToolTip(f"{setting_tooltip('series')} Counts for what is opened next.")
+        self.series.editingFinished.connect(self._on_series)
+        form.addRow("Series", self.series)
         listen(model.settings_changed, self._on_settings)
         self._on_settings(model.settings)
 
@@ -65,10 +72,16 @@ class ReferenceBox(QGroupBox):
         if path:
             self._model.change_settings(**{setting: Path(path)})
 
+    def _on_series(self) -> None:
+        series = self.series.text().strip() or None
+        if series != self._model.settings.series:
+            self._model.change_settings(series=series)
+
     def _on_clear(self) -> None:
         self._model.change_settings(**{self.sender().objectName(): None})
 
     def _on_settings(self, settings: Settings) -> None:
+        self.series.setText(settings.series or "")
         for setting, label in self.names.items():
             path = getattr(settings, setting)
             label.setText(NONE if path is None else path.name)

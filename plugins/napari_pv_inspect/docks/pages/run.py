@@ -110,7 +110,7 @@ class RunBox(QWidget):
         if model.sequence is None:
             if model.result is not None:
                 return IN_DOUBT if model.doubts else model.frames_gone
-            return "Open a folder of frames, a TIFF stack, or the sample."
+            return "Open a folder of frames, a file that holds several, or the sample."
         if model.settings.rows is None or model.settings.cols is None:
             return "How many rows and columns of cells does the module have?"
         if not model.to_do:
