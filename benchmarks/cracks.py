@@ -46,8 +46,10 @@ from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled, spl
 from pv_inspect.cracks.training.labelled_maps import alarms, as_they_are, degraded
 from pv_inspect.cracks.training.reliability import reliability
 from pv_inspect.cracks.training.scores import coarse_score, pixel_score, roc_auc
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.results.read import read_result
-from pv_inspect.results.record import Result
 from pv_inspect.sequence.frame_files import expand, read_frame
 from pv_inspect.settings import Settings
 
@@ -152,27 +154,31 @@ def drawn_rows(n: int = 200) -> Iterator[str]:
         yield f"{name:<22}{np.mean(values):8.2%}{np.abs(values).max():8.2%}"
 
 
-def bicubic(result: Result, sequence: Path) -> Image:
+def bicubic(result: Inspection, sequence: Path) -> Image:
     """First used frame on the grid of the result."""
-    frame = next(frame for frame in result.frames if frame.used and frame.H is not None)
-    pixels = np.asarray(read_frame(expand(sequence / "frames" / frame.file)[0]), np.float32)
+    registration, grid = result.need(Registration), result.need(Reconstruction).grid
+    first = int(np.flatnonzero(registration.used)[0])
+    path = sequence / "frames" / result.names[first]
+    pixels = np.asarray(read_frame(expand(path)[0]), np.float32)
     pixels -= np.percentile(pixels, 0.5)  # the black level, about
-    h, w = result.grid.shape
+    h, w = grid.shape
     x, y = np.meshgrid(np.arange(w), np.arange(h))
-    at = result.grid.to_module(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
-    where = result.camera.project(np.asarray(frame.H), at).reshape(h, w, 2).astype(np.float32)
+    at = grid.to_module(np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64))
+    where = registration.camera.project(registration.homographies[first], at)
+    where = where.reshape(h, w, 2).astype(np.float32)
     seen = cv2.remap(pixels, where[..., 0], where[..., 1], cv2.INTER_CUBIC)
     return np.maximum(np.asarray(seen, np.float32), 0) / np.float32(65535)
 
 
-def probability_of(image: Image, result: Result, detector: CrackDetector) -> tuple[Image, float]:
+def probability_of(
+    image: Image, result: Inspection, detector: CrackDetector
+) -> tuple[Image, float]:
     """Crack probability of an image on the grid of a result, and the threshold."""
-    layout = result.grid.layout
+    grid, layout = result.need(Reconstruction).grid, result.layout
     cells = [
-        [image[result.grid.cell_slices(i, j)] for j in range(layout.cols)]
-        for i in range(layout.rows)
+        [image[grid.cell_slices(i, j)] for j in range(layout.cols)] for i in range(layout.rows)
     ]
-    found = result_of(read_cracks(CellTiles(np.array(cells), result.grid), Settings(), detector))
+    found = result_of(read_cracks(CellTiles(np.array(cells), grid), Settings(), detector))
     return found.probability, found.threshold
 
 
@@ -192,6 +198,7 @@ def sequence_rows(
         Lines with the figures, and lines by width and contrast of the cracks.
     """
     result = read_result(result_folder)
+    made = result.need(Reconstruction)
     truth = json.loads((sequence / "truth" / "truth.json").read_text())
     record = json.loads((result_folder / "result.json").read_text())
     rows, cols, turns = scorer.orientations(truth, record)
@@ -199,8 +206,8 @@ def sequence_rows(
     hr = truth["hr"]
     fine = scorer.Grid(hr["pixels_per_cell"], hr["origin_px"], truth["rows"], truth["cols"])
     coarse = scorer.Grid(record["pixels_per_cell"], record["origin_px"], rows, cols)
-    h, w = result.image.shape
-    turned = np.rot90(result.image, k).shape
+    h, w = made.image.shape
+    turned = np.rot90(made.image, k).shape
     grid = coarse.rotated(k, w, h)
     x0, x1, y0, y1 = window = grid.window(turned[1], turned[0])
 
@@ -212,22 +219,22 @@ def sequence_rows(
     best = np.zeros(turned, np.float32)
     best[y0:y1, x0:x1] = of_truth(hr["file"]) / 65535
     images = {
-        "ours": result.image,
+        "ours": made.image,
         "BICUBIC": bicubic(result, sequence),
         "HR": np.ascontiguousarray(np.rot90(best, -k)),
     }
     judged = np.ones(turned, bool)
     if learnt is not None:
-        cells = np.ndindex(result.grid.layout.rows, result.grid.layout.cols)
-        upright = np.zeros(result.image.shape, bool)
-        unseen = [result.grid.cell_slices(*at) for at in cells]
+        cells = np.ndindex(made.grid.layout.rows, made.grid.layout.cols)
+        upright = np.zeros(made.image.shape, bool)
+        unseen = [made.grid.cell_slices(*at) for at in cells]
         unseen = [where for where in unseen if not learnt.holds(images["HR"][where])]
         for where in unseen:
             upright[where] = True
         judged = np.rot90(upright, k)
         mask = mask & judged[y0:y1, x0:x1]
         name = f"{name} ({len(unseen)})"
-    scene = pieces(best, mask_of(mask, turned, window), result.grid.pixels_per_unit)
+    scene = pieces(best, mask_of(mask, turned, window), made.grid.pixels_per_unit)
     figures, shares = [], []
     for detector_name, detector in found.items():
         texts, f1, seen_of = [], {}, {}
@@ -238,7 +245,7 @@ def sequence_rows(
             part, group = score["segmentation"], score["detection"]
             f1[image_name] = (part["f1"], part["ap"])
             texts.append(f"{part['f1']:8.3f}{part['ap']:7.3f}{group['f1']:7.3f}")
-            reach = round(_TOLERANCE_LR_PX * result.grid.magnification)
+            reach = round(_TOLERANCE_LR_PX * made.grid.magnification)
             seen_of[image_name] = scene.found(turned_map, threshold, reach)
         ours, bicubic_f1, truth_f1 = (f1[name] for name in ("ours", "BICUBIC", "HR"))
         ratios = [a / max(b, 1e-9) for a, b in zip(ours, bicubic_f1, strict=True)]
@@ -247,7 +254,7 @@ def sequence_rows(
             f"{ours[0] / max(truth_f1[0], 1e-9):8.2f}"
         )
         shares.append(f"{name:<8}{detector_name}")
-        shares += lines_of(name, scene, seen_of, result.grid.magnification)
+        shares += lines_of(name, scene, seen_of, made.grid.magnification)
     return figures, shares
 
 

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pv_inspect.reconstruction.preview import Preview, Region
     from pv_inspect.reconstruction.single_frame import bicubic
     from pv_inspect.results.read import read_result
-    from pv_inspect.results.record import Result
     from pv_inspect.results.write import write_result
     from pv_inspect.sequence.sequence import FrameSequence, open_sequence
     from pv_inspect.settings import Settings, Stage
@@ -41,7 +40,6 @@ __all__ = [
     "ModuleLayout",
     "Preview",
     "Region",
-    "Result",
     "Settings",
     "Stage",
     "Step",
@@ -65,7 +63,6 @@ _HOME = {
     "ModuleLayout": "geometry.layout",
     "Preview": "reconstruction.preview",
     "Region": "reconstruction.preview",
-    "Result": "results.record",
     "Settings": "settings",
     "Stage": "settings",
     "Step": "inspection.inspection",

@@ -41,7 +41,6 @@ from pv_inspect.settings import Settings, Stage
 __all__ = ["inspect", "inspect_steps"]
 
 P = TypeVar("P")
-T = TypeVar("T")
 
 
 def inspect(
@@ -170,47 +169,42 @@ def _layout(
 
 
 def _detect(state: Inspection) -> Generator[Progress, None, Crossings]:
-    sequence, settings = state.sequence, state.settings
+    sequence, settings = state.frames, state.settings
     frame = sequence.frame(0).image
     need_memory(frame, len(sequence), state.layout, settings.magnification)
     return (yield from detect(sequence, state.layout, settings.module_at))
 
 
 def _calibrate(state: Inspection) -> Generator[Progress, None, Calibration]:
-    crossings = _present(state.crossings)
-    _need_a_frame(state.sequence, [frame.why for frame in crossings.frames], state.layout)
+    crossings = state.need(Crossings)
+    _need_a_frame(state.frames, [frame.why for frame in crossings.frames], state.layout)
     yield Progress(0.0, "fitting the camera and the poses")
-    return calibrate(crossings, state.sequence.shape, state.settings)
+    return calibrate(crossings, state.frames.shape, state.settings)
 
 
 def _register(state: Inspection) -> Generator[Progress, None, Registration]:
-    sequence, settings = state.sequence, state.settings
-    calibration = _present(state.calibration)
+    sequence, settings = state.frames, state.settings
+    calibration = state.need(Calibration)
     _need_a_frame(sequence, _reasons(calibration), state.layout)
     if settings.registration_model == "homography":
-        crossings = _present(state.crossings)
+        crossings = state.need(Crossings)
         return (yield from register_by_homography(sequence, crossings, settings, calibration))
     return (yield from register(sequence, calibration, settings))
 
 
 def _reconstruct(state: Inspection) -> Generator[Progress, None, Reconstruction]:
-    registration = _present(state.registration)
-    _need_a_frame(state.sequence, _reasons(registration), state.layout)
-    return (yield from reconstruct(state.sequence, registration, state.settings))
+    registration = state.need(Registration)
+    _need_a_frame(state.frames, _reasons(registration), state.layout)
+    return (yield from reconstruct(state.frames, registration, state.settings))
 
 
 def _cut(state: Inspection) -> Generator[Progress, None, CellTiles]:
     yield Progress(0.0, "cutting the module into cells")
-    return cut_cells(_present(state.reconstruction))
+    return cut_cells(state.need(Reconstruction))
 
 
 def _read_cracks(state: Inspection) -> Generator[Progress, None, CrackMap]:
-    return (yield from read_cracks(_present(state.tiles), state.settings))
-
-
-def _present(part: T | None) -> T:
-    assert part is not None, "stages run in their order"
-    return part
+    return (yield from read_cracks(state.need(CellTiles), state.settings))
 
 
 def _reasons(poses: Calibration | Registration) -> list[str]:

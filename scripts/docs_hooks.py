@@ -63,7 +63,7 @@ def _settings_page() -> str:
         "",
         "Names as in Python (`pv.Settings(kappa=-0.1)`) and in a TOML file (`--settings`); "
         "`pv-inspect run --help` lists the options of the command line. A change makes the named "
-        "stage run again, and those after it.",
+        "stage run again, and those after it. The last column says where the workbench has it.",
     ]
     stage = None
     for name, about in sorted(
@@ -71,7 +71,8 @@ def _settings_page() -> str:
     ):
         if stage != (stage := Settings.stage_of(name)):
             lines += ["", f"## From {stage} on", ""]
-            lines += ["| name | unit | range | default | meaning |", "|---|---|---|---|---|"]
+            lines += ["| name | unit | range | default | meaning | workbench |"]
+            lines += ["|---|---|---|---|---|---|"]
         limits = [
             f"{sign} {getattr(limit, key):g}"
             for limit in about.metadata
@@ -80,9 +81,11 @@ def _settings_page() -> str:
         ]
         unit = Settings.unit_of(name)
         empty = about.default in (None, ())
+        declared = Settings.declared(name)
+        place = declared.set_by or f"{declared.group}: {declared.title}"
         lines.append(
             f"| `{name}` | {'' if unit == '1' else unit} | {', '.join(limits)} "
-            f"| {'' if empty else f'`{about.default}`'} | {about.description} |"
+            f"| {'' if empty else f'`{about.default}`'} | {about.description} | {place} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from collections.abc import Generator
 from dataclasses import replace
 from typing import Any
@@ -124,12 +123,22 @@ def test_previews_of_the_reconstruction_come_through(stages: Stages) -> None:
 
 
 def test_seconds_leave_out_the_time_in_which_the_caller_holds_the_generator(
-    stages: Stages,
+    stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seconds = result_of(inspect_steps(SEQUENCE), lambda _: time.sleep(0.02)).seconds
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 1.0
+        return now[0]
+
+    def hold(_: object) -> None:
+        now[0] += 1000.0
+
+    monkeypatch.setattr("pv_inspect.pipeline.perf_counter", clock)
+    seconds = result_of(inspect_steps(SEQUENCE), hold).seconds
     assert set(seconds) == {stage.value for stage in Stage}
-    # about a dozen steps of 0.02 s were held; the fakes themselves take next to nothing
-    assert sum(seconds.values()) < 0.1
+    # Every stage took some looks at the clock and no stage one of the pauses.
+    assert all(0 < spent < 100 for spent in seconds.values())
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import pv_inspect
@@ -42,8 +43,13 @@ def test_the_snippet_runs_as_it_is_written(
     assert kinds == {"Step"}
     pv.write_result(inspection, "out")
     again = pv.read_result("out")
-    assert again.image.shape == inspection.reconstruction.image.shape
+    assert type(again) is type(inspection)
+    np.testing.assert_array_equal(again.reconstruction.image, inspection.reconstruction.image)
+    np.testing.assert_array_equal(again.tiles.images, inspection.tiles.images)
     assert pv.plots.grid(inspection) is not None
+    assert pv.plots.cells(again).get_title() == pv.plots.cells(inspection).get_title()
+    with pytest.raises(pv.InspectionError, match="out are not open"):
+        pv.write_result(again, "again")
 
 
 def test_the_readme_types_the_same_names() -> None:

@@ -15,10 +15,9 @@ from pv_inspect.inspection.doubts import doubts_of
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.inspection.summary import summary
 from pv_inspect.notebook import plots
-from pv_inspect.notebook.display import inspection_html, result_html
+from pv_inspect.notebook.display import inspection_html
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.results.read import read_result
-from pv_inspect.results.record import Result
 from pv_inspect.results.write import write_result
 from pv_inspect.review.report import render_review
 from tests.handmade import made_inspection
@@ -44,7 +43,7 @@ def blind() -> Inspection:
     return replace(made, doubts=doubts_of(made))
 
 
-def saved(inspection: Inspection, folder: Path) -> Result:
+def saved(inspection: Inspection, folder: Path) -> Inspection:
     write_result(inspection, folder)
     return read_result(folder)
 
@@ -62,7 +61,7 @@ def test_where_no_cell_could_be_judged_every_view_says_that_and_no_all_clear(
         "summary": "\n".join(lines),
         "report": text_of(render_report(blind)),
         "notebook": text_of(inspection_html(blind)),
-        "notebook of a result": text_of(result_html(result)),
+        "notebook of a result": text_of(inspection_html(result)),
         "review page": text_of(render_review(result, ())),
         "review command": review,
         "plot": plots.cells(blind).get_title(),
@@ -115,7 +114,7 @@ def test_the_residual_is_one_number_in_every_view(tmp_path: Path) -> None:
     assert "residual  1.10 " in summary(inspection, tmp_path, 1.0)
     assert "(median 1.10)" in text_of(render_report(inspection))
     assert re.search(r"Residual \([^)]*\)\s*1\.10", text_of(render_review(result, ())))
-    for page in (inspection_html(inspection), result_html(result)):
+    for page in (inspection_html(inspection), inspection_html(result)):
         assert '<th style="text-align: left">residual</th>' in page
         assert "1.10 x noise" in page
     for page in (render_report(inspection), render_review(result, ()), inspection_html(inspection)):

@@ -45,7 +45,6 @@ from napari_pv_inspect.session.view_state import SessionStore
 from napari_pv_inspect.tasks.run import RunController
 from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 
 __all__ = ["Workbench"]
 
@@ -203,7 +202,7 @@ class Workbench(QObject):
     def _may_leave(self) -> bool:
         return self.review.may_leave(self._main_window)
 
-    def _on_result(self, result: Result) -> None:
+    def _on_result(self, result: Inspection) -> None:
         self.session.resume(result)
         self.trials.resume(result)
         self.fit_view()
@@ -225,7 +224,7 @@ class Workbench(QObject):
         if self.frames.adopt(layer):
             return
         self.module.adopt(layer)
-        if isinstance(result := layer.metadata.get(RESULT_KEY), Result):
+        if isinstance(result := layer.metadata.get(RESULT_KEY), Inspection):
             self.opener.restore(result)
 
     def _on_preview(self, image: Any) -> None:

@@ -7,8 +7,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -97,17 +96,11 @@ def with_settings(*names: str) -> Callable[[Callable[..., None]], Callable[..., 
 
 def _kind_of(setting: str) -> Any:
     """Type of a setting for the command line; `Settings` checks the value."""
-    kind = Settings.model_fields[setting].annotation
-    if get_origin(kind) in (Union, UnionType):
-        (kind,) = (one for one in get_args(kind) if one is not NoneType)
-    if get_origin(kind) is Annotated:
-        kind = get_args(kind)[0]
-    if get_origin(kind) is Literal:
+    kind, _ = Settings.kind_of(setting)
+    if Settings.choices_of(setting):
         return str
     if kind == tuple[str, ...]:
         return list[str]
-    if get_origin(kind) is tuple:  # of numbers with limits
-        return tuple[tuple(float for _ in get_args(kind))]  # type: ignore[misc]
     return kind
 
 

@@ -55,6 +55,7 @@ def review_of(
     InspectionError
         If the folder is no result, the review can't be read or something can't be written.
     """
+    from pv_inspect.cracks import CrackMap
     from pv_inspect.results.read import read_result
     from pv_inspect.review import ReviewStore, of_rater, progress
     from pv_inspect.review.report import export_review
@@ -64,7 +65,7 @@ def review_of(
     stored: list[str] = []
     cleanup.written_so_far = lambda: (" and ".join(stored)) or "nothing was written"
     cleanup.begin()
-    with ReviewStore(result.folder) as store:
+    with ReviewStore(result.source) as store:
         changes = {name: value for name, value in module.items() if value is not None}
         if changes:
             store.describe(replace(store.module_data(), **changes))
@@ -75,14 +76,13 @@ def review_of(
         written = export_review(result, store) if export else ()
     if quiet:
         return
-    layout = result.grid.layout
     lines = [
         *(f"IN DOUBT  {text}" for text in result.doubts),
-        f"cells     {result.crack_map.counts.text}",
-        f"review    {progress(verdicts, layout).text}",
+        f"cells     {result.need(CrackMap).counts.text}",
+        f"review    {progress(verdicts, result.layout).text}",
     ]
     for rater in raters_of(verdicts):
-        found = progress(of_rater(verdicts, rater).values(), layout)
+        found = progress(of_rater(verdicts, rater).values(), result.layout)
         counts = ", ".join(f"{n} {kind.label}" for kind, n in found.counts.items() if n)
         lines.append(f"rater     {rater}: {found.text}" + (f"; {counts}" if counts else ""))
     disagreed = sum(said == DISAGREED for said in agreed(verdicts).values())

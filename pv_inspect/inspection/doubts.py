@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from pv_inspect.cracks import CrackMap
 from pv_inspect.detection.orientation import runs_down
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.inspection.figures import known_median
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.copies import copies_sentence
 
-__all__ = ["CONTRADICTION", "doubts_of", "left_out", "quarter_turn_sentence", "warnings_of"]
+__all__ = [
+    "CONTRADICTION",
+    "doubts_of",
+    "left_out",
+    "not_used_sentence",
+    "quarter_turn_sentence",
+    "warnings_of",
+]
 
 CONTRADICTION = 2.5
 """Median residual of the frames, in units of their noise, from which on a result is in doubt.
@@ -58,10 +67,10 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     tuple of str
         One sentence each.
     """
-    layout, registration = inspection.layout, inspection.registration
-    assert registration is not None
+    layout, registration = inspection.layout, inspection.need(Registration)
+    sequence = inspection.frames
     used = int(registration.used.sum())
-    found = list(inspection.sequence.warnings)
+    found = list(sequence.warnings)
     if inspection.layout_guessed:
         found.append(
             f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "
@@ -71,8 +80,10 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         total = len(registration.used)
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
         found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
-    names, copies = inspection.sequence.names, inspection.sequence.copies
-    sentences = (copies_sentence(copies, names), quarter_turn_sentence(registration))
+    sentences = (
+        copies_sentence(sequence.copies, sequence.names),
+        quarter_turn_sentence(registration),
+    )
     found += [sentence for sentence in sentences if sentence]
     if used > 1 and not registration.comparable:
         found.append(
@@ -80,11 +91,11 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
             "be noticed."
         )
     found += [sentence for sentence in (_over_fit(inspection), _unfinished(inspection)) if sentence]
-    return (*found, *left_out(inspection))
+    return (*found, *(not_used_sentence(*frame) for frame in left_out(inspection)))
 
 
-def left_out(inspection: Inspection) -> tuple[str, ...]:
-    """Say of every frame that is not used why; one warning tells of all copies instead.
+def left_out(inspection: Inspection) -> tuple[tuple[str, str], ...]:
+    """Return every frame that is not used, but for copies: one warning tells of all of them.
 
     Parameters
     ----------
@@ -93,17 +104,20 @@ def left_out(inspection: Inspection) -> tuple[str, ...]:
 
     Returns
     -------
-    tuple of str
-        One sentence each.
+    tuple of (str, str)
+        Name and reason.
     """
-    registration, sequence = inspection.registration, inspection.sequence
-    assert registration is not None
-    frames = zip(sequence.names, registration.used, registration.why, strict=True)
+    registration = inspection.need(Registration)
+    copies = inspection.sequence.copies if inspection.sequence is not None else ()
+    frames = zip(inspection.names, registration.used, registration.why, strict=True)
     return tuple(
-        f"{name} is not used: {(why or 'not used').rstrip('.')}."
-        for k, (name, ok, why) in enumerate(frames)
-        if not ok and k not in sequence.copies
+        (name, why) for k, (name, ok, why) in enumerate(frames) if not ok and k not in copies
     )
+
+
+def not_used_sentence(name: str, why: str) -> str:
+    """Say why a frame is not used."""
+    return f"{name} is not used: {(why or 'not used').rstrip('.')}."
 
 
 def quarter_turn_sentence(registration: Registration) -> str:
@@ -133,10 +147,8 @@ def quarter_turn_sentence(registration: Registration) -> str:
 
 
 def _contradiction(inspection: Inspection) -> str:
-    registration, reconstruction = inspection.registration, inspection.reconstruction
-    assert registration is not None
-    assert reconstruction is not None
-    typical = known_median(reconstruction.residual_rms)
+    registration = inspection.need(Registration)
+    typical = known_median(inspection.need(Reconstruction).residual_rms)
     if registration.used.sum() < 2 or not typical > CONTRADICTION:
         return ""
     return (
@@ -147,12 +159,10 @@ def _contradiction(inspection: Inspection) -> str:
 
 def _over_fit(inspection: Inspection) -> str:
     """Say if the image repeats the noise of the frames, or the frames have none of their own."""
-    assert inspection.registration is not None
-    assert inspection.reconstruction is not None
-    typical = known_median(inspection.reconstruction.residual_rms)
+    typical = known_median(inspection.need(Reconstruction).residual_rms)
     if not typical < OVER_FIT:
         return ""
-    if inspection.registration.used.sum() == 1:
+    if inspection.need(Registration).used.sum() == 1:
         return (
             f"The image follows the only frame down to {typical:.2f} times its noise (about 1 is "
             "right): its finest structure may be noise."
@@ -166,19 +176,18 @@ def _over_fit(inspection: Inspection) -> str:
 
 def _unfinished(inspection: Inspection) -> str:
     """Say if the reconstruction ended before it had converged."""
-    assert inspection.reconstruction is not None
-    if inspection.reconstruction.converged:
+    reconstruction = inspection.need(Reconstruction)
+    if reconstruction.converged:
         return ""
     return (
-        f"The reconstruction had not converged after {inspection.reconstruction.iterations} steps: "
+        f"The reconstruction had not converged after {reconstruction.iterations} steps: "
         "raise max_iterations, or leave the prior's weight and the PSF to be estimated."
     )
 
 
 def _blindness(inspection: Inspection) -> str:
     """Say if no cell at all could be judged: then the absence of cracks says nothing."""
-    assert inspection.cracks is not None
-    counts = inspection.cracks.counts
+    counts = inspection.need(CrackMap).counts
     if counts.judged or not counts.total:
         return ""
     todo = (

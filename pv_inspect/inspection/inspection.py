@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import Field, dataclass, field, fields, replace
 from functools import cache
-from typing import Any, get_args, get_type_hints
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,9 @@ from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import CrackMap
 from pv_inspect.detection.crossings import Crossings
+from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.inspection.stored import StoredResult
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
@@ -23,6 +26,7 @@ from pv_inspect.settings import Settings, Stage
 __all__ = ["Inspection", "Part", "Step", "stages"]
 
 Part = Crossings | Calibration | Registration | Reconstruction | CellTiles | CrackMap
+P = TypeVar("P", Crossings, Calibration, Registration, Reconstruction, CellTiles, CrackMap)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,8 @@ class Inspection:
 
     Parameters
     ----------
-    sequence : FrameSequence
+    sequence : FrameSequence or None
+        None: what was read from a result folder, without its frames; see `frames`.
     settings : Settings
         The settings that all present parts were made with.
     layout : ModuleLayout
@@ -70,9 +75,11 @@ class Inspection:
         Whether rows and columns were guessed from the frames because nobody gave them.
     doubts : tuple of str
         Why the result must not be relied on, one sentence each; empty if there is no doubt.
+    stored : StoredResult or None
+        What it was read from; None if no result folder was.
     """
 
-    sequence: FrameSequence
+    sequence: FrameSequence | None
     settings: Settings
     layout: ModuleLayout
     crossings: Crossings | None = field(default=None, metadata={"stage": Stage.DETECT})
@@ -87,6 +94,42 @@ class Inspection:
     warnings: tuple[str, ...] = ()
     layout_guessed: bool = False
     doubts: tuple[str, ...] = ()
+    stored: StoredResult | None = None
+
+    def __post_init__(self) -> None:
+        if self.sequence is None and self.stored is None:
+            raise ValueError("an inspection is of a sequence, or was read from a result folder")
+
+    @property
+    def frames(self) -> FrameSequence:
+        """The open frames.
+
+        Raises
+        ------
+        InspectionError
+            If it was read from a result folder without them.
+        """
+        if self.sequence is None:
+            raise InspectionError(
+                f"The frames of {self.source} are not open: open the sequence for what needs them."
+            )
+        return self.sequence
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File names of the frames."""
+        if self.sequence is not None:
+            return self.sequence.names
+        assert self.stored is not None
+        return self.stored.names
+
+    @property
+    def source(self) -> Path:
+        """Where the frames lie; the result folder, if they are not open."""
+        if self.sequence is not None:
+            return self.sequence.source
+        assert self.stored is not None
+        return self.stored.folder
 
     @property
     def complete(self) -> bool:
@@ -102,6 +145,28 @@ class Inspection:
             One of `stages`: loading makes no part.
         """
         made: Part | None = getattr(self, _fields()[stage].name)
+        return made
+
+    def need(self, kind: type[P]) -> P:
+        """Return a part that has to be there.
+
+        Parameters
+        ----------
+        kind : type
+            `Crossings`, `Calibration`, `Registration`, `Reconstruction`, `CellTiles` or `CrackMap`.
+
+        Raises
+        ------
+        InspectionError
+            If its stage has not run.
+        """
+        stage = _stage_of(kind)
+        made = self.part(stage)
+        if not isinstance(made, kind):
+            raise InspectionError(
+                f"This inspection is not complete: run it at least to the end of the stage "
+                f"{stage.value!r}."
+            )
         return made
 
     def stale(self, settings: Settings) -> frozenset[Stage]:
@@ -138,8 +203,7 @@ class Inspection:
         """
         stage = _stage_of(type(part))
         later = {s for s in stages() if s > stage}
-        # What was said about the whole result is not true of this one.
-        return self._without(later, **{_fields()[stage].name: part, "warnings": (), "doubts": ()})
+        return self._changed(later, **{_fields()[stage].name: part})
 
     def under(self, settings: Settings) -> Inspection:
         """Return what of this is still true under other settings.
@@ -153,20 +217,23 @@ class Inspection:
         Inspection
         """
         stale = self.stale(settings)
-        if not stale & set(stages()):
-            return self._without(stale, settings=settings)
-        return self._without(stale, settings=settings, warnings=(), doubts=())
+        return (
+            self._changed(stale, settings=settings) if stale else replace(self, settings=settings)
+        )
 
-    def _without(self, dropped: Collection[Stage], **changes: Any) -> Inspection:
+    def _changed(self, dropped: Collection[Stage], **changes: Any) -> Inspection:
         """Return a copy without the parts of some stages, and the seconds that they took."""
         emptied = {_fields()[stage].name: None for stage in dropped if stage in _fields()}
         seconds = {k: v for k, v in self.seconds.items() if Stage(k) not in dropped}
-        return replace(self, **{"seconds": seconds, **emptied, **changes})
+        # What was said about the whole result is not true of this one, nor is it what was read.
+        stored = self.stored if self.sequence is None else None
+        said: dict[str, Any] = {"warnings": (), "doubts": (), "stored": stored}
+        return replace(self, **{"seconds": seconds, **said, **emptied, **changes})
 
     def __repr__(self) -> str:
         done = [stage.value for stage in stages() if self.part(stage) is not None]
         cells = f"{self.layout.rows} x {self.layout.cols} cells"
-        where = str(self.sequence.source)
+        where = str(self.source)
         return f"<Inspection of {where!r}: {cells}; done: {', '.join(done) or 'nothing'}>"
 
     def _repr_html_(self) -> str:

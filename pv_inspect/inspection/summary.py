@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pv_inspect.cracks import CrackMap
 from pv_inspect.errors import printable
-from pv_inspect.inspection.doubts import left_out
+from pv_inspect.inspection.doubts import left_out, not_used_sentence
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 
 __all__ = ["summary"]
 
@@ -29,25 +32,15 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
     str
         Some lines, without the last line break.
     """
-    registration, reconstruction = inspection.registration, inspection.reconstruction
-    assert registration is not None
-    assert reconstruction is not None
-    assert inspection.cracks is not None
-    used = registration.used
-    rejected = [
-        f"  not used: {name}: {why}"
-        for k, (name, ok, why) in enumerate(
-            zip(inspection.sequence.names, used, registration.why, strict=True)
-        )
-        if not ok and k not in inspection.sequence.copies  # one warning tells of all copies
-    ]
-    told_as_frame = left_out(inspection)
+    reconstruction, used = inspection.need(Reconstruction), inspection.need(Registration).used
+    unused = left_out(inspection)
+    told_as_frame = [not_used_sentence(*frame) for frame in unused]
     height, width = reconstruction.image.shape
     lines = [
         *(f"IN DOUBT  {text}" for text in inspection.doubts),
-        f"cells     {inspection.cracks.counts.text}",
+        f"cells     {inspection.need(CrackMap).counts.text}",
         f"frames    {int(used.sum())} of {used.size} used",
-        *rejected,
+        *(f"  not used: {name}: {why}" for name, why in unused),
         f"residual  {median_text(reconstruction.residual_rms)} ({RESIDUAL_MEANING})",
         f"module    {width} x {height} px, {reconstruction.grid.magnification:.2f}x",
         *(f"warning   {text}" for text in inspection.warnings if text not in told_as_frame),

@@ -1,4 +1,4 @@
-"""How an inspection and a result folder show themselves in a notebook: one piece of HTML."""
+"""How an inspection shows itself in a notebook: one piece of HTML."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.cracks import CellCounts, CellFeatures, CrackMap
+from pv_inspect.cracks import CrackMap
 from pv_inspect.errors import printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
@@ -25,9 +25,9 @@ from pv_inspect.reports.templates import rendered
 
 if TYPE_CHECKING:
     from pv_inspect.inspection.inspection import Inspection
-    from pv_inspect.results.record import Result
+    from pv_inspect.reconstruction.reconstruction import Reconstruction
 
-__all__ = ["inspection_html", "result_html"]
+__all__ = ["inspection_html"]
 
 # Longer side of the module picture: a saved notebook stays small.
 _MODULE_PX = 800
@@ -50,8 +50,8 @@ def inspection_html(inspection: Inspection) -> str:
     """
     registration, reconstruction = inspection.registration, inspection.reconstruction
     poses, cracks = registration or inspection.calibration, inspection.cracks
-    n_frames = len(inspection.sequence)
-    rows = [] if cracks is None else [_cells_row(cracks.cells)]
+    n_frames = len(inspection.names)
+    rows = [] if cracks is None else [("cells", cracks.counts.text)]
     rows.append(_layout_row(inspection.layout, inspection.layout_guessed))
     picture = None
     if poses is not None:
@@ -65,68 +65,21 @@ def inspection_html(inspection: Inspection) -> str:
         px = median_text(inspection.calibration.rms_px[inspection.calibration.used])
         rows.append(("crossing points from the grid", f"{px} LR px"))
     if reconstruction is not None:
-        rows += _image_rows(
-            median_text(reconstruction.residual_rms),
-            reconstruction.psf_sigma_lr_px,
-            reconstruction.prior_weight,
-            reconstruction.grid,
-        )
+        rows += _image_rows(reconstruction)
         picture = _picture(reconstruction.image, reconstruction.grid, cracks)
     elif registration is not None:
         rows.append(_residual_row(REGISTRATION_RESIDUAL, median_text(registration.rms)))
-    stale = inspection.stale(inspection.settings)
+    # Without the frames nothing can be run.
+    stale = inspection.stale(inspection.settings) if inspection.sequence is not None else ()
     missing = [stage.value for stage in sorted(stale, key=lambda stage: stage.index)]
-    return _html(
-        printable(inspection.sequence.source.resolve().name),
-        picture,
-        rows,
-        missing,
-        inspection.doubts,
-        inspection.warnings,
-    )
-
-
-def result_html(result: Result) -> str:
-    """Render a result folder that was read.
-
-    Parameters
-    ----------
-    result : Result
-
-    Returns
-    -------
-    str
-        Picture of the module with the cracks, numbers, warnings.
-    """
-    used = sum(frame.used for frame in result.frames)
-    residual = median_text(frame.residual for frame in result.frames)
-    rows = [
-        _cells_row(result.cells),
-        _layout_row(result.grid.layout),
-        ("frames used", f"{used} of {len(result.frames)}"),
-        ("kappa", f"{result.camera.kappa:+.4f}"),
-        *_image_rows(residual, result.psf_sigma_lr_px, result.prior_weight, result.grid),
-    ]
-    picture = _picture(result.image, result.grid, result.crack_map)
-    return _html(printable(result.folder.name), picture, rows, [], result.doubts, result.warnings)
-
-
-def _html(
-    title: str,
-    picture: str | None,
-    rows: list[_Row],
-    missing: list[str],
-    doubts: tuple[str, ...],
-    warnings: tuple[str, ...],
-) -> str:
     return rendered(
         "inspection.html.j2",
-        title=title,
+        title=printable(inspection.source.resolve().name),
         picture=picture,
         rows=rows,
         missing=missing,
-        doubts=doubts,
-        warnings=warnings,
+        doubts=inspection.doubts,
+        warnings=inspection.warnings,
     )
 
 
@@ -138,25 +91,21 @@ def _picture(image: NDArray[np.float32], grid: HrGrid, cracks: CrackMap | None) 
     return jpeg_url(picture)
 
 
-def _layout_row(layout: ModuleLayout, guessed: bool = False) -> _Row:
+def _layout_row(layout: ModuleLayout, guessed: bool) -> _Row:
     aspect = "" if layout.cell_aspect == 1 else f" of aspect {layout.cell_aspect:g}"
     how = ", guessed" if guessed else ""
     return "module", f"{layout.rows} x {layout.cols} cells{aspect}{how}"
 
 
-def _image_rows(residual: str, psf_sigma: float, prior_weight: float, grid: HrGrid) -> list[_Row]:
-    height, width = grid.shape
+def _image_rows(made: Reconstruction) -> list[_Row]:
+    height, width = made.grid.shape
     return [
-        ("image", f"{width} x {height} pixels, {grid.magnification:.2f} x the frames"),
-        _residual_row(RESIDUAL, residual),
-        ("PSF sigma", f"{psf_sigma:.2f} LR px"),
-        ("lambda", f"{prior_weight:.3g}"),
+        ("image", f"{width} x {height} pixels, {made.grid.magnification:.2f} x the frames"),
+        _residual_row(RESIDUAL, median_text(made.residual_rms)),
+        ("PSF sigma", f"{made.psf_sigma_lr_px:.2f} LR px"),
+        ("lambda", f"{made.prior_weight:.3g}"),
     ]
 
 
 def _residual_row(name: str, text: str) -> _Row:
     return name, f"{text} x noise"
-
-
-def _cells_row(cells: tuple[CellFeatures, ...]) -> _Row:
-    return "cells", CellCounts.of(cells).text

@@ -71,7 +71,7 @@ def grid(inspection: Inspection, frame: int | None = None, ax: Axes | None = Non
         raise _too_early("the grid", Stage.DETECT)
     poses = inspection.registration or inspection.calibration
     index = _frame_index(inspection, poses) if frame is None else frame
-    n_frames = len(inspection.sequence)
+    n_frames = len(inspection.frames)
     if not 0 <= index < n_frames:
         raise InspectionError(
             f"There is no frame {index} in a sequence of {n_frames}: give 0 to {n_frames - 1}."
@@ -79,7 +79,7 @@ def grid(inspection: Inspection, frame: int | None = None, ax: Axes | None = Non
     found = inspection.crossings.frames[index]
     ax = _axes(ax, (8.0, 6.4))
     _show_frame(ax, inspection, index)
-    height, width = inspection.sequence.shape
+    height, width = inspection.frames.shape
     measured = found.measured & np.isfinite(found.points_px).all(axis=1)
     points, why = found.points_px.copy(), found.why
     if poses is not None:
@@ -93,7 +93,7 @@ def grid(inspection: Inspection, frame: int | None = None, ax: Axes | None = Non
     _dots(ax, points[measured], MEASURED, "measured crossing")
     _dots(ax, points[~measured & np.isfinite(points).all(axis=1)], PREDICTED, "predicted crossing")
     ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel="x [LR px]")
-    ax.set(ylabel="y [LR px]", title=_titled(inspection.sequence.names[index], why))
+    ax.set(ylabel="y [LR px]", title=_titled(inspection.frames.names[index], why))
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="upper left", bbox_to_anchor=(0.0, -0.1), ncols=3, frameon=False)
     return ax
@@ -235,7 +235,7 @@ def _frame_index(inspection: Inspection, poses: Registration | Calibration | Non
 
 
 def _show_frame(ax: Axes, inspection: Inspection, index: int) -> None:
-    image = inspection.sequence.frame(index).image
+    image = inspection.frames.frame(index).image
     low, high = np.percentile(image, [0.5, 99.8])
     ax.imshow(image, cmap="gray", vmin=low, vmax=max(high, low + 1e-6))
 

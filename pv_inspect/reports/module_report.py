@@ -12,12 +12,14 @@ import numpy as np
 
 from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.versions import versions
-from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, look_at_first, state_of
+from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, CrackMap, look_at_first, state_of
 from pv_inspect.cracks.wording import CLASS_WORDS, SUPPORT_RULE, class_text, length_text, tooltip
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.reports.templates import rendered
 from pv_inspect.settings import Settings
@@ -64,8 +66,9 @@ def render_report(inspection: Inspection) -> str:
     Raises
     ------
     InspectionError
-        If the inspection is not complete.
+        If the inspection is not complete, or without its frames.
     """
+    _ = inspection.frames
     if not inspection.complete:
         raise InspectionError(
             "This inspection is not complete, so that no report can be written: run it to its end."
@@ -88,12 +91,8 @@ def with_review_state(page: bytes, state: str) -> bytes:
 
 
 def _content(inspection: Inspection) -> dict[str, Any]:
-    registration, reconstruction = inspection.registration, inspection.reconstruction
-    cracks, tiles = inspection.cracks, inspection.tiles
-    assert registration is not None
-    assert reconstruction is not None
-    assert cracks is not None
-    assert tiles is not None
+    registration, reconstruction = inspection.need(Registration), inspection.need(Reconstruction)
+    cracks, sequence = inspection.need(CrackMap), inspection.frames
     grid, layout = reconstruction.grid, inspection.layout
     low, high = contrast_of(reconstruction.image, grid)
     picture = grey(shrunk(reconstruction.image, _MODULE_PX), low, high)
@@ -113,11 +112,11 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         )
     seconds = inspection.seconds
     return {
-        "title": printable(inspection.sequence.source.resolve().name),
-        "source": printable(str(inspection.sequence.source)),
+        "title": printable(sequence.source.resolve().name),
+        "source": printable(str(sequence.source)),
         "layout": layout,
         "grid": grid,
-        "n_frames": len(inspection.sequence),
+        "n_frames": len(sequence),
         "n_used": int(registration.used.sum()),
         "residual": median_text(reconstruction.residual_rms),
         "counts": cracks.counts,
@@ -145,7 +144,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "frames": _frame_rows(inspection),
         "camera": registration.camera,
         "focal_length": _FOCAL_LENGTH[
-            focal_length_source(registration.camera, inspection.sequence.shape, inspection.settings)
+            focal_length_source(registration.camera, sequence.shape, inspection.settings)
         ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
         "prior_weight": f"{reconstruction.prior_weight:.3g}",
@@ -178,9 +177,7 @@ def _lambda_plot(curve: tuple[tuple[float, float], ...], chosen: float) -> dict[
 
 
 def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
-    registration, reconstruction = inspection.registration, inspection.reconstruction
-    assert registration is not None
-    assert reconstruction is not None
+    registration, reconstruction = inspection.need(Registration), inspection.need(Reconstruction)
     residual = np.where(registration.used, reconstruction.residual_rms, np.nan)
     longest = float(np.nanmax(residual)) if np.isfinite(residual).any() else 1.0
     return [
@@ -196,17 +193,15 @@ def _frame_rows(inspection: Inspection) -> list[dict[str, Any]]:
             "offset": float(registration.offset[i]),
             "motion": reconstruction.motion[i],
         }
-        for i, name in enumerate(inspection.sequence.names)
+        for i, name in enumerate(inspection.names)
     ]
 
 
 def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     """Every setting with the value that was used; what the user left open was found otherwise."""
-    registration, reconstruction = inspection.registration, inspection.reconstruction
-    assert registration is not None
-    assert reconstruction is not None
+    registration, reconstruction = inspection.need(Registration), inspection.need(Reconstruction)
     layout, camera = inspection.layout, registration.camera
-    hint = inspection.sequence.layout_hint
+    hint = inspection.frames.layout_hint
     source = {
         name: "guessed from the frames"
         if inspection.layout_guessed

@@ -59,9 +59,7 @@ def exists(path: Path) -> bool:
 
 def geometry_record(inspection: Inspection) -> dict[str, Any]:
     """Return crossing points and calibration, which a later run can start from."""
-    crossings, calibration = inspection.crossings, inspection.calibration
-    assert crossings is not None
-    assert calibration is not None
+    crossings, calibration = inspection.need(Crossings), inspection.need(Calibration)
     return {
         "format": GeometryRecord.newest_format,
         "crossings": [vars(frame) for frame in crossings.frames],

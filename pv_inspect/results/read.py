@@ -10,27 +10,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cells import cut_cells
 from pv_inspect.common.csv_tables import csv_lines
 from pv_inspect.common.records import checked, json_from, read_text
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CellFeatures, CrackMap
 from pv_inspect.cracks.features import from_texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.stored import stored_floats, stored_shape
-from pv_inspect.results.folder import (
-    RESULT_JSON,
-)
-from pv_inspect.results.record import Result, _known, frame_from
-from pv_inspect.results.records import ResultRecord, settings_of
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.inspection.stored import StoredResult
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
+from pv_inspect.results.folder import RESULT_JSON
+from pv_inspect.results.records import FrameRecord, ResultRecord, settings_of
 from pv_inspect.storage.folders import read_steadily, recovered
 
 __all__ = ["check_unchanged", "read_result"]
 
 
-def read_result(folder: Path) -> Result:
-    """Read a result folder.
+def read_result(folder: Path) -> Inspection:
+    """Read a result folder: what can be looked at without the frames.
+
+    Crossing points, calibration and what was found out about the sensor are of use only together
+    with the frames: `pv_inspect.results.resume.resume` brings them.
 
     Parameters
     ----------
@@ -38,7 +43,8 @@ def read_result(folder: Path) -> Result:
 
     Returns
     -------
-    Result
+    Inspection
+        Without a sequence; ``stored`` says where it was read.
 
     Raises
     ------
@@ -49,7 +55,7 @@ def read_result(folder: Path) -> Result:
     return read_steadily(folder, lambda: _read_result(folder))
 
 
-def _read_result(folder: Path) -> Result:
+def _read_result(folder: Path) -> Inspection:
     path = folder / RESULT_JSON
     try:
         there = path.is_file()
@@ -77,35 +83,66 @@ def _read_result(folder: Path) -> Result:
     )
     with _damaged(path):
         _check_place(grid)
-    image = _read_image(folder / "module_hr.tif", grid.shape)
-    support = _read_image(folder / "support.tif", grid.shape, gaps=True)
-    consistency = _read_image(folder / "consistency.tif", grid.shape, gaps=True)
+    reconstruction = Reconstruction(
+        _read_image(folder / "module_hr.tif", grid.shape),
+        _read_image(folder / "support.tif", grid.shape, gaps=True),
+        grid,
+        _known(record.prior_weight),
+        _known(record.psf_sigma_lr_px),
+        tuple(map(_known, record.solver.objective)),
+        record.solver.converged,
+        _read_image(folder / "consistency.tif", grid.shape, gaps=True),
+        tuple(_known(frame.residual) for frame in record.frames),
+        tuple(frame.motion_px_deg or (0.0, 0.0) for frame in record.frames),
+        record.solver.iterations,
+        tuple((_known(weight), _known(error)) for weight, error in record.lambda_curve),
+    )
     probability = _read_image(folder / "cracks.tif", grid.shape)
     with _damaged(folder / "cells.csv"):
         cells = _cells_from(read_text(folder / "cells.csv"), layout)
-    return Result(
-        folder,
-        image,
-        support,
-        consistency,
-        probability,
-        grid,
-        camera,
-        tuple(map(frame_from, record.frames)),
-        cells,
+    return Inspection(
+        None,
         settings,
-        record.crack_threshold,
-        record.crack_detector,
-        record.crack_least_extent_cells,
-        record.seconds,
-        tuple(record.warnings),
-        record.versions,
-        _known(record.prior_weight),
-        _known(record.psf_sigma_lr_px),
+        layout,
+        registration=_registration(layout, camera, record.frames),
+        reconstruction=reconstruction,
+        tiles=cut_cells(reconstruction),
+        cracks=CrackMap(
+            probability,
+            record.crack_threshold,
+            record.crack_detector,
+            cells,
+            record.crack_least_extent_cells,
+        ),
+        seconds={stage: t for stage, t in record.seconds.items() if stage != "total"},
+        warnings=tuple(record.warnings),
+        layout_guessed=record.layout_guessed,
+        doubts=tuple(record.doubts),
         # With what an earlier version did not say.
-        content,
-        tuple(record.doubts),
+        stored=StoredResult(folder, content),
     )
+
+
+def _registration(layout: ModuleLayout, camera: Camera, frames: list[FrameRecord]) -> Registration:
+    def values(name: str, otherwise: float) -> NDArray[np.float64]:
+        found = (getattr(frame, name) for frame in frames)
+        return np.array([otherwise if value is None else value for value in found], np.float64)
+
+    nowhere = np.full((3, 3), np.nan)
+    return Registration(
+        layout,
+        camera,
+        np.array([nowhere if f.H is None else f.H for f in frames], np.float64),
+        np.array([f.used for f in frames]),
+        tuple(f.why for f in frames),
+        values("gain", 1.0),
+        values("offset", 0.0),
+        values("rms", np.nan),
+    )
+
+
+def _known(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def _record_in(path: Path) -> tuple[dict[str, Any], ResultRecord]:
@@ -115,20 +152,24 @@ def _record_in(path: Path) -> tuple[dict[str, Any], ResultRecord]:
     return {**content, **record.model_dump(mode="json")}, record
 
 
-def check_unchanged(result: Result) -> None:
+def check_unchanged(stored: StoredResult) -> None:
     """Check that a result folder still holds the result that was read from it.
+
+    Parameters
+    ----------
+    stored : StoredResult
 
     Raises
     ------
     InspectionError
         If another run has replaced it.
     """
-    path = result.folder / RESULT_JSON
+    path = stored.folder / RESULT_JSON
     with _damaged(path):
         now, _ = _record_in(path)
-    if now != result.record:
+    if now != stored.record:
         raise InspectionError(
-            f"{result.folder} holds another result than the one that was opened: open it again."
+            f"{stored.folder} holds another result than the one that was opened: open it again."
         )
 
 

@@ -64,7 +64,13 @@ class EditRecord(Record):
 
 
 class FrameRecord(Record):
-    """What became of a frame; see `pv_inspect.results.record.FrameResult`."""
+    """What became of a frame.
+
+    ``crossings_px`` holds the LR pixel positions of all crossing points, None beyond the fold of
+    the lens; ``H`` takes the module plane to normalised image coordinates. The frame is ``gain *
+    (W f) + offset``, full-scale units. ``rms`` is the registration residual, ``residual`` that
+    against the module image (see `pv_inspect.inspection.figures`), both in units of the noise.
+    """
 
     file: Text
     used: Flag

@@ -14,12 +14,14 @@ import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect._version import __version__
+from pv_inspect.cells import CellTiles
 from pv_inspect.common.csv_tables import csv_text
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CellFeatures, CrackMap
 from pv_inspect.cracks.features import FEATURES, texts
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.results.folder import (
     CELLS_FOLDER,
@@ -29,7 +31,7 @@ from pv_inspect.results.folder import (
     tile_name,
 )
 from pv_inspect.results.geometry_record import GEOMETRY_JSON, geometry_record, source_record
-from pv_inspect.results.record import _plain, result_record
+from pv_inspect.results.record import plain_types, result_record
 from pv_inspect.results.sensor_correction import COLUMNS_TIF, RESPONSE_TIF
 from pv_inspect.storage.folders import Reservation
 
@@ -53,9 +55,10 @@ def write_result(inspection: Inspection, out: Path, reservation: Reservation | N
     Raises
     ------
     InspectionError
-        If the inspection is not complete, or the folder can't be written; then an earlier result
-        is as it was.
+        If the inspection is not complete or has no frames, or the folder can't be written; then an
+        earlier result is as it was.
     """
+    _ = inspection.frames  # a result says where they are
     if not inspection.complete:
         raise InspectionError(
             "This inspection is not complete, so that no result can be written: run it to its end."
@@ -66,10 +69,8 @@ def write_result(inspection: Inspection, out: Path, reservation: Reservation | N
 
 def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
     """Name and content of every file of the result in ``out``, ``result.json`` last."""
-    reconstruction, cracks, tiles = inspection.reconstruction, inspection.cracks, inspection.tiles
-    assert reconstruction is not None
-    assert cracks is not None
-    assert tiles is not None
+    reconstruction, cracks = inspection.need(Reconstruction), inspection.need(CrackMap)
+    tiles = inspection.need(CellTiles)
     grid = reconstruction.grid
     yield "module_hr.tif", _tiff(reconstruction.image, grid, "rectified module, full scale = 1")
     yield "support.tif", _tiff(reconstruction.support, grid, "support by the frames, 0 to 1", True)
@@ -87,12 +88,12 @@ def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
     yield "cells.csv", _csv(cracks.cells).encode()
     yield "report.html", render_report(inspection).encode()
     yield GEOMETRY_JSON, _json(geometry_record(inspection))
-    record = {"source": source_record(inspection.sequence, out), **result_record(inspection)}
+    record = {"source": source_record(inspection.frames, out), **result_record(inspection)}
     yield RESULT_JSON, _json(record)
 
 
 def _json(record: dict[str, Any]) -> bytes:
-    return json.dumps(_plain(record), indent=1, allow_nan=False).encode()
+    return json.dumps(plain_types(record), indent=1, allow_nan=False).encode()
 
 
 def _tiff(image: NDArray[np.float32], grid: HrGrid, what: str, pack: bool = False) -> bytes:

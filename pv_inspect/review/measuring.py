@@ -8,15 +8,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cells import CellTiles
 from pv_inspect.cracks import (
     BusbarFinder,
     CellFeatures,
     CrackDetector,
+    CrackMap,
     measure_cell,
 )
 from pv_inspect.cracks.isolation import Busbars, busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.record import Result
+from pv_inspect.inspection.inspection import Inspection
 
 __all__ = ["Measure", "measured"]
 
@@ -48,12 +50,13 @@ class Measure:
     cell_width_mm: float | None = None
 
     @classmethod
-    def of(cls, result: Result, detector: CrackDetector | None = None) -> Measure:
+    def of(cls, result: Inspection, detector: CrackDetector | None = None) -> Measure:
         """Measure of a result.
 
         Parameters
         ----------
-        result : Result
+        result : Inspection
+            With its cracks.
         detector : CrackDetector, optional
             If it sees busbars, they are looked for with it in the mean of all cells; else as lines
             in that mean.
@@ -62,13 +65,11 @@ class Measure:
         -------
         Measure
         """
-        grid, layout = result.grid, result.grid.layout
-        places = np.ndindex(layout.rows, layout.cols)
-        tiles = np.array([result.image[grid.cell_slices(*place)] for place in places])
+        tiles, cracks = result.need(CellTiles), result.need(CrackMap)
         return cls.of_cells(
-            tiles,
-            result.crack_threshold,
-            grid.pixels_per_unit,
+            tiles.images,
+            cracks.threshold,
+            tiles.grid.pixels_per_unit,
             result.settings.cell_width_mm,
             detector,
         )

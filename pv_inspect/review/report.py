@@ -13,15 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.common.versions import versions
-from pv_inspect.cracks import CellFeatures
+from pv_inspect.cracks import CellFeatures, CrackMap
 from pv_inspect.cracks.wording import class_text
 from pv_inspect.errors import printable
+from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.inspection.stored import StoredResult
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.reports.module_report import with_review_state
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.reports.templates import rendered
 from pv_inspect.results.read import check_unchanged
-from pv_inspect.results.record import Result
 from pv_inspect.review.selection import progress
 from pv_inspect.review.store import ReviewStore
 from pv_inspect.review.tables import DISAGREED, agreed, raters_of, verdicts_csv
@@ -59,14 +63,15 @@ class _Box:
         return 0.24 * min(self.width, self.height)
 
 
-def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
+def export_review(result: Inspection, store: ReviewStore) -> tuple[Path, Path]:
     """Write ``verdicts.csv`` and ``review.html`` into the result folder.
 
     ``review.html`` is the report to hand on; ``report.html`` says so, and how far the review is.
 
     Parameters
     ----------
-    result : Result
+    result : Inspection
+        From `read_result`.
     store : ReviewStore
         Of the same folder.
 
@@ -81,24 +86,24 @@ def export_review(result: Result, store: ReviewStore) -> tuple[Path, Path]:
         If the review can't be read or a file can't be written; then an earlier one is as it was.
         If another run has replaced the result since it was read.
     """
-    verdicts = store.current()
+    stored, verdicts = _stored(result), store.current()
     page = render_review(result, verdicts, store.module_data(), store.masks())
-    table_path, page_path = result.folder / VERDICTS_TABLE, result.folder / REVIEW_PAGE
-    with changing(result.folder):
-        check_unchanged(result)
-        replace_file(table_path, verdicts_csv(result.cells, verdicts).encode())
+    table_path, page_path = stored.folder / VERDICTS_TABLE, stored.folder / REVIEW_PAGE
+    with changing(stored.folder):
+        check_unchanged(stored)
+        replace_file(table_path, verdicts_csv(result.need(CrackMap).cells, verdicts).encode())
         replace_file(page_path, page.encode())
-        technical = result.folder / "report.html"
+        technical = stored.folder / "report.html"
         with suppress(OSError):  # one that is gone or locked is no reason to fail
             before = technical.read_bytes()
-            raters, done = raters_of(verdicts), progress(verdicts, result.grid.layout).text
+            raters, done = raters_of(verdicts), progress(verdicts, result.layout).text
             state = f"{done} by {', '.join(raters)}" if raters else done
             replace_file(technical, with_review_state(before, state))
     return table_path, page_path
 
 
 def render_review(
-    result: Result,
+    result: Inspection,
     verdicts: Sequence[Verdict],
     module: ModuleData | None = None,
     corrected: Mapping[Cell, Mask] | None = None,
@@ -107,7 +112,8 @@ def render_review(
 
     Parameters
     ----------
-    result : Result
+    result : Inspection
+        From `read_result`.
     verdicts : sequence of Verdict
         The current ones of all raters.
     module : ModuleData, optional
@@ -125,23 +131,24 @@ def render_review(
 
 
 def _content(
-    result: Result,
+    result: Inspection,
     verdicts: Sequence[Verdict],
     module: ModuleData,
     corrected: Mapping[Cell, Mask],
 ) -> dict[str, Any]:
-    grid, layout = result.grid, result.grid.layout
+    made, cracks, layout = result.need(Reconstruction), result.need(CrackMap), result.layout
+    image, grid = made.image, made.grid
     verdicts = [v for v in verdicts if v.row < layout.rows and v.col < layout.cols]
     raters = raters_of(verdicts)
     by_rater = {rater: of_rater(verdicts, rater) for rater in raters}
     by_cell: dict[Cell, dict[str, Verdict]] = {}
     for verdict in verdicts:
         by_cell.setdefault(verdict.cell, {})[verdict.rater] = verdict
-    marks = _marks(result, corrected)
-    low, high = contrast_of(result.image, grid)
-    picture = grey(shrunk(result.image, _MODULE_PX), low, high)
+    marks = _marks(cracks, grid, corrected)
+    low, high = contrast_of(image, grid)
+    picture = grey(shrunk(image, _MODULE_PX), low, high)
     close_ups = []
-    for cell in result.cells:
+    for cell in cracks.cells:
         said = by_cell.get((cell.row, cell.col), {})
         if all(verdict.kind is VerdictKind.OK for verdict in said.values()):
             continue
@@ -150,13 +157,13 @@ def _content(
             {
                 "cell": cell,
                 "verdicts": said,
-                "image": jpeg_url(grey(shrunk(result.image[where], _CLOSE_UP_PX), low, high)),
+                "image": jpeg_url(grey(shrunk(image[where], _CLOSE_UP_PX), low, high)),
                 "overlay": overlay_url(marks[where], marks[where], _CLOSE_UP_PX),
             }
         )
     made_by = fingerprint(result.settings)
     return {
-        "title": printable(result.folder.name),
+        "title": printable(_stored(result).folder.name),
         "date": date.today().isoformat(),
         "layout": layout,
         "module": module,
@@ -169,27 +176,27 @@ def _content(
         "picture": jpeg_url(picture),
         "picture_size": picture.shape[1::-1],
         "overlay": overlay_url(marks, marks, _MODULE_PX),
-        "boxes": _boxes(result, by_cell, picture.shape[1] / grid.shape[1]),
+        "boxes": _boxes(cracks.cells, grid, by_cell, picture.shape[1] / grid.shape[1]),
         "close_ups": close_ups[:_N_CLOSE_UPS],
         "n_more": max(len(close_ups) - _N_CLOSE_UPS, 0),
-        "rows": _rows(result.cells, by_cell, corrected),
+        "rows": _rows(cracks.cells, by_cell, corrected),
         "quality": _quality(result),
         "settings": _settings(result.settings),
         "fingerprint": made_by,
         "warnings": result.warnings,
         "doubts": result.doubts,
-        "counts": result.crack_map.counts,
+        "counts": cracks.counts,
         "class_text": class_text,
-        "made_with": result.versions,
+        "made_with": _stored(result).versions,
         "versions": versions(),
     }
 
 
-def _marks(result: Result, corrected: Mapping[Cell, Mask]) -> NDArray[np.float32]:
+def _marks(cracks: CrackMap, grid: HrGrid, corrected: Mapping[Cell, Mask]) -> NDArray[np.float32]:
     """1 on the marks of cracks, a person's where there are some."""
-    marks = crack_mask(result.crack_map, result.grid)
-    for cell in result.cells:
-        part = marks[result.grid.cell_slices(cell.row, cell.col)]
+    marks = crack_mask(cracks, grid)
+    for cell in cracks.cells:
+        part = marks[grid.cell_slices(cell.row, cell.col)]
         drawn = corrected.get((cell.row, cell.col))
         if drawn is not None and drawn.shape == part.shape:
             part[:] = drawn
@@ -197,11 +204,14 @@ def _marks(result: Result, corrected: Mapping[Cell, Mask]) -> NDArray[np.float32
 
 
 def _boxes(
-    result: Result, by_cell: Mapping[Cell, Mapping[str, Verdict]], scale: float
+    cells: Sequence[CellFeatures],
+    grid: HrGrid,
+    by_cell: Mapping[Cell, Mapping[str, Verdict]],
+    scale: float,
 ) -> list[_Box]:
     found = []
-    for cell in result.cells:
-        y, x = result.grid.cell_slices(cell.row, cell.col)
+    for cell in cells:
+        y, x = grid.cell_slices(cell.row, cell.col)
         width, height = scale * (x.stop - x.start), scale * (y.stop - y.start)
         inset = 0.015 * min(width, height)  # frames of neighbours stay apart
         said = by_cell.get((cell.row, cell.col), {})
@@ -234,24 +244,28 @@ def _rows(
     ]
 
 
-def _quality(result: Result) -> list[tuple[str, str]]:
+def _quality(result: Inspection) -> list[tuple[str, str]]:
     """Numbers that tell how far the image can be trusted."""
-    used = [frame for frame in result.frames if frame.used]
-    px, py = result.grid.pixels_per_cell
+    registration, made = result.need(Registration), result.need(Reconstruction)
+    cracks, used = result.need(CrackMap), registration.used
+    px, py = made.grid.pixels_per_cell
+    residual = np.array(made.residual_rms)[used]
     return [
-        ("Frames used", f"{len(used)} of {len(result.frames)}"),
-        ("Magnification", f"{result.grid.magnification:.2f}×"),
+        ("Frames used", f"{int(used.sum())} of {len(used)}"),
+        ("Magnification", f"{made.grid.magnification:.2f}×"),
         ("HR pixels per cell", f"{px:.0f} × {py:.0f}"),
-        (
-            f"Residual ({RESIDUAL_MEANING})",
-            median_text(frame.residual for frame in used),
-        ),
-        ("Support by the frames, mean (0 to 1)", f"{np.nanmean(result.support):.2f}"),
-        ("Optical blur, sigma (frame pixels)", _known(result.psf_sigma_lr_px, ".2f")),
-        ("Weight of the prior, lambda", _known(result.prior_weight, ".3g")),
-        ("Distortion, kappa", f"{result.camera.kappa:+.4f}"),
-        ("Crack detector", f"{result.detector}, threshold {result.crack_threshold:.2f}"),
+        (f"Residual ({RESIDUAL_MEANING})", median_text(residual)),
+        ("Support by the frames, mean (0 to 1)", f"{np.nanmean(made.support):.2f}"),
+        ("Optical blur, sigma (frame pixels)", _known(made.psf_sigma_lr_px, ".2f")),
+        ("Weight of the prior, lambda", _known(made.prior_weight, ".3g")),
+        ("Distortion, kappa", f"{registration.camera.kappa:+.4f}"),
+        ("Crack detector", f"{cracks.detector}, threshold {cracks.threshold:.2f}"),
     ]
+
+
+def _stored(result: Inspection) -> StoredResult:
+    assert result.stored is not None, "a review is of a result folder"
+    return result.stored
 
 
 def _known(value: float, form: str) -> str:

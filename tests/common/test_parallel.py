@@ -13,6 +13,7 @@ import pytest
 from pv_inspect.common import parallel as concurrency
 from pv_inspect.common.parallel import one_at_a_time, parallel_map
 from pv_inspect.observation.stencil import dot
+from tests.waiting import LONG_S
 
 
 def test_the_order_is_kept_and_no_thread_lives_on() -> None:
@@ -55,7 +56,7 @@ def test_where_the_layer_cannot_be_shared_threads_take_turns(
         with one_at_a_time(), one_at_a_time():  # the same thread may come in again
             inside += 1
             with suppress(threading.BrokenBarrierError):
-                met.wait(0.2 if at_once == 1 else 20)
+                met.wait(0.2 if at_once == 1 else LONG_S)
             most = max(most, inside)
             inside -= 1
 

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.waiting import LONG_S
+
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals are POSIX's")
 
 # The command as it is, with a run that works until it is told to stop.
@@ -106,7 +108,7 @@ def stopped(tmp_path: Path) -> Callable[..., tuple[int, str]]:
             while not ready.exists() and process.poll() is None:
                 time.sleep(0.01)
             process.send_signal(number)
-        said = process.communicate(timeout=300)[1]
+        said = process.communicate(timeout=LONG_S)[1]
         ready.unlink(missing_ok=True)
         return process.returncode, said
 

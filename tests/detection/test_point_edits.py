@@ -17,6 +17,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.results.read import read_result
+from pv_inspect.results.resume import resume
 from pv_inspect.results.write import write_result
 from pv_inspect.settings import Settings
 from tests.handmade import made_crossings, made_inspection
@@ -146,10 +147,13 @@ def test_edits_are_in_the_result_folder_and_come_back(tmp_path: Path) -> None:
     crossings = made_crossings()
     frame = crossings.frames[2].with_edits({5: (12.5, 7.25), 6: None})
     crossings = replace(crossings, frames=(*crossings.frames[:2], frame))
-    write_result(made_inspection(crossings=crossings), tmp_path / "out")
-    frames = read_result(tmp_path / "out").frames
-    assert frames[0].edits == {}
-    assert frames[2].edits == {(1, 1): (12.5, 7.25), (1, 2): None}
+    inspection = made_inspection(crossings=crossings)
+    write_result(inspection, tmp_path / "out")
+    again = resume(read_result(tmp_path / "out"), inspection.frames).need(Crossings)
+    assert not again.frames[0].by_hand.any()
+    assert np.flatnonzero(again.frames[2].by_hand).tolist() == [5, 6]
+    np.testing.assert_array_equal(again.frames[2].points_px[5], (12.5, 7.25))
+    assert again.frames[2].measured[[5, 6]].tolist() == [True, False]
     record = json.loads((tmp_path / "out" / "result.json").read_text())
     assert record["frames"][2]["edits"][0] == {"row": 1, "col": 1, "px": [12.5, 7.25]}
 

@@ -150,22 +150,25 @@ def _camera(folder: Path, args: Args) -> None:
 
 
 def _result(folder: Path, _: Args) -> None:
+    from pv_inspect.cracks import CrackMap
+    from pv_inspect.reconstruction.reconstruction import Reconstruction
+    from pv_inspect.registration.registration import Registration
     from pv_inspect.results.read import read_result
     from pv_inspect.results.resume import reopen, resume
 
     result = read_result(folder / "result")
-    layout = result.grid.layout
-    assert result.image.shape == result.support.shape == result.cracks.shape
-    assert result.image.shape == result.consistency.shape == result.grid.shape
-    assert np.isfinite(result.camera.K).all()
-    assert np.isfinite([result.crack_threshold, result.grid.pixels_per_unit]).all()
-    assert result.grid.pixels_per_unit > 0
-    assert np.isfinite(result.grid.origin_px).all()
-    assert all((c.row, c.col) < (layout.rows, layout.cols) for c in result.cells)
+    made, found, layout = result.need(Reconstruction), result.need(CrackMap), result.layout
+    assert made.image.shape == made.support.shape == found.probability.shape
+    assert made.image.shape == made.consistency.shape == made.grid.shape
+    assert np.isfinite(result.need(Registration).camera.K).all()
+    assert np.isfinite([found.threshold, made.grid.pixels_per_unit]).all()
+    assert made.grid.pixels_per_unit > 0
+    assert np.isfinite(made.grid.origin_px).all()
+    assert all((c.row, c.col) < (layout.rows, layout.cols) for c in found.cells)
     _check_settings(result.settings)
     repr(result)
     inspection = resume(result, reopen(result))
-    assert len(inspection.registration.used) == len(inspection.sequence)  # type: ignore[union-attr]
+    assert len(inspection.need(Registration).used) == len(inspection.frames)
     assert inspection.tiles is not None
     assert inspection.tiles.images.shape[:2] == (layout.rows, layout.cols)
 

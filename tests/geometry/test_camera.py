@@ -218,16 +218,16 @@ def test_shapes_follow_the_points() -> None:
     assert camera.project(H, np.empty((0, 2))).shape == (0, 2)
 
 
-def test_unprojecting_a_whole_frame_takes_less_than_50_ms() -> None:
+def test_unprojecting_a_whole_frame_takes_less_than_50_ms_of_processor_time() -> None:
     y, x = np.mgrid[0:512, 0:640]
     px = np.stack([x, y], axis=-1).reshape(-1, 2).astype(np.float64)
     camera = Camera(K, -0.2)
     seconds = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         camera.unproject(H, px)
-        seconds.append(time.perf_counter() - start)
-    # Three times the claim, so that a busy machine does not fail the suite.
+        seconds.append(time.process_time() - start)
+    # Three times the claim: beside other processes a processor has half of its caches and clock.
     assert min(seconds) < 0.15
 
 

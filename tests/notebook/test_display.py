@@ -136,7 +136,9 @@ def test_as_text_they_are_one_line(tmp_path: Path) -> None:
         "<Inspection of 'somewhere/module <7>': 2 x 3 cells; done: detect, calibrate, register>"
     )
     write_result(made_inspection(), tmp_path / "out")
-    assert repr(read_result(tmp_path / "out")).endswith("out': 2 x 3 cells>")
+    assert repr(read_result(tmp_path / "out")).endswith(
+        "out': 2 x 3 cells; done: register, reconstruct, cells, cracks>"
+    )
 
 
 @pytest.mark.parametrize("alpha", [0, 51, 255])

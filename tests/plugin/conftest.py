@@ -27,6 +27,7 @@ from pv_inspect.sequence.sequence import FrameSequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
 from tests.plugin.reviewing import show, stored  # noqa: E402
+from tests.waiting import LONG_MS  # noqa: E402
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -35,6 +36,22 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("xvfb") and not REAL_WINDOW:
             item.add_marker(skip)
+
+
+class PatientBot(QtBot):
+    """Waits for what must happen up to the common limit, however busy the machine is."""
+
+    def waitUntil(self, callback: Callable[[], bool | None], *, timeout: int = LONG_MS) -> None:
+        super().waitUntil(callback, timeout=timeout)
+
+    def waitSignal(self, signal: Any, *, timeout: int = LONG_MS, **options: Any) -> Any:
+        return super().waitSignal(signal, timeout=timeout, **options)
+
+
+@pytest.fixture
+def qtbot(qapp: Any, request: pytest.FixtureRequest) -> QtBot:
+    """Take the place of pytest-qt's, which waits for 5 s."""
+    return PatientBot(request)
 
 
 @pytest.fixture(autouse=True)
@@ -113,7 +130,7 @@ def saved(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: Qt
     viewer, dock, cells = workbench
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None)
     stored(dock, qtbot)
     viewer.window._qt_window.resize(1280, 800)
     viewer.window._qt_window.show()

@@ -20,10 +20,11 @@ from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.models.history import Action
 from napari_pv_inspect.models.workbench import RunState
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
+from tests.waiting import LONG_S
 
 __all__ = ["Monkey"]
 
-HANG_S = 120.0
+HANG_S = 2 * LONG_S
 WEIGHTS = {
     "verdict": 12,
     "drag_point": 6,
@@ -123,9 +124,9 @@ class Monkey:
             QApplication.processEvents()
             time.sleep(0.002)
 
-    def until(self, happened: Callable[[], bool], what: str, timeout_s: float = 60.0) -> None:
+    def until(self, happened: Callable[[], bool], what: str) -> None:
         """Wait for something."""
-        end = time.monotonic() + timeout_s
+        end = time.monotonic() + LONG_S
         while not happened():
             assert time.monotonic() < end, f"In vain: {what}; {self.done}"
             self.wait(0.01)

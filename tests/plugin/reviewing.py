@@ -19,5 +19,5 @@ def show(dock: Any, inspection: Inspection | None) -> None:
 def stored(dock: Any, qtbot: QtBot) -> None:
     """Wait until all that was said is on disk."""
     state = dock.workbench.review.state
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    qtbot.waitUntil(lambda: state.pending == 0)
     state.collect()

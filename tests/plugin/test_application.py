@@ -19,6 +19,7 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
 from pv_inspect.sequence.sequence import FrameSequence
+from tests.waiting import LONG_S
 
 pytestmark = pytest.mark.xvfb
 
@@ -58,7 +59,7 @@ def share_of_colour(pixels: NDArray[np.int_], colour: str) -> float:
 
 def finish(dock: Any, qtbot: QtBot) -> None:
     """Wait for the end of the run."""
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=120_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
 
 
 def test_the_sample_is_seen_and_its_grid_is_found(app: Any, qtbot: QtBot) -> None:
@@ -66,7 +67,7 @@ def test_the_sample_is_seen_and_its_grid_is_found(app: Any, qtbot: QtBot) -> Non
         pytest.skip("sample_data/ is not in this checkout")
     viewer, dock, _ = app
     qtbot.mouseClick(dock.open_sample, LEFT)
-    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not None)
     before = canvas(viewer, qtbot)
     assert before.max() > 150
     assert share_of_colour(before, GRID_COLOUR) < 1e-4
@@ -99,7 +100,7 @@ def test_run_cancel_run_again_and_look_at_the_cells(tiny_app: Any, qtbot: QtBot)
     viewer, dock, cells = tiny_app
     model = dock.workbench.model
     qtbot.mouseClick(dock.run.run, LEFT)
-    qtbot.waitUntil(lambda: dock.run.progress.value() > 0, timeout=60_000)
+    qtbot.waitUntil(lambda: dock.run.progress.value() > 0)
     qtbot.mouseClick(dock.run.cancel, LEFT)
     finish(dock, qtbot)
     assert model.inspection is None or not model.inspection.complete
@@ -180,7 +181,7 @@ def test_launch_returns_cleanly_when_the_window_is_closed_mid_run(tiny_folder: P
         [sys.executable, "-c", CLOSE_MID_RUN, str(tiny_folder)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=LONG_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

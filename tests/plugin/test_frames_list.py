@@ -107,7 +107,7 @@ def filled(workbench: Any, replayed: Any, qtbot: QtBot) -> Any:
     _, dock, _ = workbench
     dock.show_page("Frames")
     dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     return workbench
 
 

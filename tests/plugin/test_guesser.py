@@ -26,10 +26,10 @@ def test_another_module_of_the_frames_is_guessed_anew_until_a_person_confirms(
     model = WorkbenchModel()
     guesser = LayoutGuesser(model)
     model.open(replace(tiny_sequence, layout_hint={}))
-    qtbot.waitUntil(lambda: model.settings.cols == 4, timeout=5000)
+    qtbot.waitUntil(lambda: model.settings.cols == 4)
     model.change_settings(module_at=(30.0, 40.0))
     assert model.guessing
-    qtbot.waitUntil(lambda: model.settings.cols == 7, timeout=5000)
+    qtbot.waitUntil(lambda: model.settings.cols == 7)
     assert not model.guessing
     model.confirm_layout()
     model.change_settings(module_at=None)
@@ -49,5 +49,5 @@ def test_a_guess_that_fails_unexpectedly_ends_all_the_same(
     guesser = LayoutGuesser(model)
     model.open(replace(tiny_sequence, layout_hint={}))
     assert model.guessing
-    qtbot.waitUntil(lambda: not model.guessing, timeout=5000)
+    qtbot.waitUntil(lambda: not model.guessing)
     guesser.close()

@@ -53,7 +53,7 @@ def blind(tiny_inspection: Inspection) -> Inspection:
 
 def run(dock: Any, qtbot: QtBot) -> None:
     dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
 
 
 def shown_words(dock: Any) -> str:
@@ -104,8 +104,9 @@ def test_a_reopened_result_shows_the_same_doubts(
     before = shown_words(dock)
     write_result(blind, tmp_path / "out")
     dock.workbench.open(str(tmp_path / "out"))
-    qtbot.waitUntil(lambda: dock.workbench.model.result is not None, timeout=20_000)
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
+    model = dock.workbench.model
+    qtbot.waitUntil(lambda: model.inspection and model.inspection.stored)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
     assert shown_words(dock) == before
     assert "In doubt" in dock.run.message.text() or "Opened" in dock.run.message.text()
 

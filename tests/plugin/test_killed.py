@@ -19,9 +19,11 @@ from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.read import read_result
 from pv_inspect.results.write import write_result
 from pv_inspect.review import ReviewStore, VerdictKind
+from tests.waiting import LONG_S
 
 pytestmark = pytest.mark.xvfb
 
@@ -108,7 +110,7 @@ def killed_at_the_end(script: str, folder: Path) -> Generator[subprocess.Popen[s
         process.send_signal(signal.SIGKILL)
         assert process.stdout is not None
         process.stdout.close()
-        process.wait(10)
+        process.wait(LONG_S)
 
 
 def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
@@ -137,7 +139,7 @@ def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
     dock.workbench.review.set_rater(rater)
     dock.workbench.open(folder)
     state = dock.workbench.review.state
-    qtbot.waitUntil(lambda: state.folder is not None and state.pending == 0, timeout=20_000)
+    qtbot.waitUntil(lambda: state.folder is not None and state.pending == 0)
     state.collect()
     assert {cell: state.verdict(cell).kind for cell in found} == found
 
@@ -156,10 +158,10 @@ def test_the_last_whole_result_loads_after_kill_9_during_a_run_or_while_saving(
         assert [next(told) for _ in range(3)] == ["whole"] * 3
         sleep(delay_s)
     result = read_result(folder)
-    assert np.isfinite(result.image).any()
+    assert np.isfinite(result.need(Reconstruction).image).any()
     viewer = make_napari_viewer(show=True)
     dock, _ = build(viewer)
     dock.workbench.open(folder)
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
     assert dock.workbench.model.inspection is not None
     assert dock.workbench.model.inspection.complete

@@ -53,7 +53,7 @@ def opened(workbench: Any, tiny_inspection: Inspection, qtbot: QtBot) -> Opened:
     window = viewer.window._qt_window
     window.resize(1280, 800)
     window.show()
-    qtbot.waitUntil(lambda: cells.isVisible(), timeout=5000)
+    qtbot.waitUntil(lambda: cells.isVisible())
     qtbot.wait(100)  # docks settle
     return viewer, dock, cells, large_cell(dock.workbench)
 
@@ -77,15 +77,15 @@ def test_a_click_shows_the_cell_large_and_back_restores_the_docks(
     before = viewer.window._qt_window._qt_viewer.dockLayerList.size()
     height = cells.height()
     click(cells, 1)
-    qtbot.waitUntil(place.view.isVisible, timeout=2000)
+    qtbot.waitUntil(place.view.isVisible)
     assert folded(viewer) == [True] * 3
     assert cells.isVisible()
-    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 400, timeout=2000)
+    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 400)
     assert place.view.cell_panel.width() >= 400
     QTest.mouseClick(place.view.bar.back, LEFT)
     assert folded(viewer) == [False] * 3
     restored = viewer.window._qt_window._qt_viewer.dockLayerList
-    qtbot.waitUntil(lambda: restored.size() == before, timeout=2000)
+    qtbot.waitUntil(lambda: restored.size() == before)
     assert cells.height() == height
 
 
@@ -95,13 +95,13 @@ def test_enter_folds_the_gallery_too_and_one_key_brings_it_back(
     viewer, dock, cells, place = opened
     viewer.window._qt_window.activateWindow()
     cells.view.setFocus()
-    qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
+    qtbot.waitUntil(cells.view.hasFocus)
     QTest.keyClick(cells.view, Qt.Key.Key_Return)
-    qtbot.waitUntil(place.view.hasFocus, timeout=2000)
+    qtbot.waitUntil(place.view.hasFocus)
     assert cells.isHidden() or not cells.isVisible()
-    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 600, timeout=2000)
+    qtbot.waitUntil(lambda: place.view.cell_panel.height() >= 600)
     QTest.keyClick(place.view, "g")
-    qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
+    qtbot.waitUntil(cells.view.hasFocus)
     assert place.is_open
     QTest.keyClick(cells.view, Qt.Key.Key_Right)
     assert dock.workbench.model.selected_cell == (0, 1)
@@ -130,7 +130,7 @@ def test_number_keys_and_clicks_swap_the_large_picture(opened: Opened, qtbot: Qt
     click(cells, 1)
     view = place.view
     view.setFocus()
-    qtbot.waitUntil(view.hasFocus, timeout=2000)
+    qtbot.waitUntil(view.hasFocus)
     QTest.keyClick(view, "4")
     assert view.grid.large is view.support_panel
     assert view.support_panel.width() > view.cell_panel.width()
@@ -161,7 +161,7 @@ def test_a_button_of_the_result_shows_the_module_and_not_the_cell(
     monkeypatch.setattr(navigator, "_look_at", lambda *at: looked.append(at[2:4]))
     click(cells, 1)
     navigator.to_module()
-    qtbot.waitUntil(lambda: not place._settle.isActive(), timeout=2000)
+    qtbot.waitUntil(lambda: not place._settle.isActive())
     assert not place.is_open
     module, cell = max(looked), min(looked)
     assert looked[-1] == module != cell, "the last look is the one that was asked for"
@@ -171,13 +171,13 @@ def test_a_run_that_ends_does_not_take_the_large_cell_away(
     opened: Opened, tiny_inspection: Inspection, qtbot: QtBot
 ) -> None:
     _, dock, cells, place = opened
-    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive(), timeout=2000)
+    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive())
     click(cells, 1)
     model = dock.workbench.model
     model.inspection = replace(tiny_inspection, cracks=replace(tiny_inspection.cracks))
     with qtbot.waitSignal(cells.filled):
         model.inspection_changed.emit(model.inspection)
-    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive(), timeout=2000)
+    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive())
     assert place.is_open
     dock.workbench.navigator.to_all()
     assert not place.is_open

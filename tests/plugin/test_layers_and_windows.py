@@ -17,7 +17,7 @@ LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support",
 
 
 def idle(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=60_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
 
 
 @pytest.mark.parametrize("name", LAYERS)
@@ -45,7 +45,7 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
     docks = [build(viewer)[0] for viewer in viewers]
     for dock in docks:
         dock.workbench.open(tiny_folder)
-        qtbot.waitUntil(lambda d=dock: not d.workbench.opener.busy, timeout=20_000)
+        qtbot.waitUntil(lambda d=dock: not d.workbench.opener.busy)
         dock.workbench.model.change_settings(magnification=2.0, max_iterations=3)
     for dock in docks:
         dock.run.run.click()
@@ -56,7 +56,7 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
     for k, dock in enumerate(docks):
         dock.save(tmp_path / f"out{k}")
         state = dock.workbench.review.state
-        qtbot.waitUntil(lambda s=state: s.folder is not None, timeout=20_000)
+        qtbot.waitUntil(lambda s=state: s.folder is not None)
         dock.workbench.model.select_cell((k, 0))
         dock.workbench.review.judge(VerdictKind.OK)
     viewers[0].close()
@@ -78,7 +78,7 @@ def test_two_windows_judge_the_same_result_at_once(
         dock.workbench.review.state.set_rater(name)
         dock.workbench.open(tmp_path / "out")
         state = dock.workbench.review.state
-        qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending, timeout=20_000)
+        qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending)
     for kind in (VerdictKind.OK, VerdictKind.CRACK_B):
         for dock in docks:
             dock.workbench.review.state.give((0, 0), kind)
@@ -103,10 +103,10 @@ def test_a_dock_may_be_closed_while_a_run_goes_on(
     model = dock.workbench.model
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
+    qtbot.waitUntil(lambda: "Module image" in viewer.layers)
     viewer.window.dock_widgets[dock_name].parentWidget().close()
     replayed.go_on = True
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
     assert model.inspection.complete
 
 

@@ -26,7 +26,7 @@ def lens(workbench: Any, replayed: Any) -> tuple[Any, Any]:
 
 def test_the_curve_has_its_lowest_point_at_the_fit(lens: Any, qtbot: QtBot) -> None:
     dock, box = lens
-    qtbot.waitUntil(lambda: box.curve.curve is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: box.curve.curve is not None)
     curve = box.curve.curve
     fitted = dock.workbench.model.inspection.calibration.camera.kappa
     assert curve.best == pytest.approx(fitted)
@@ -61,13 +61,13 @@ def test_kappa_is_the_same_on_the_page_and_in_the_footer(lens: Any, qtbot: QtBot
     assert box.kappa.number.value() == pytest.approx(whole.registration.camera.kappa, abs=1e-4)
     kappa = f"kappa {whole.registration.camera.kappa:+.4f}"
     assert kappa in dock.result.summary.text()
-    qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
+    qtbot.waitUntil(lambda: kappa in box.residual.text())
     assert "preliminary" not in box.residual.text() + dock.result.summary.text()
     dock.workbench.model.inspection = early = whole.with_part(whole.calibration)
     dock.workbench.model.inspection_changed.emit(early)
     kappa = f"preliminary kappa {whole.calibration.camera.kappa:+.4f}"
     assert kappa in dock.result.summary.text()
-    qtbot.waitUntil(lambda: kappa in box.residual.text(), timeout=5000)
+    qtbot.waitUntil(lambda: kappa in box.residual.text())
 
 
 def test_the_drawing_shows_curve_and_marks(qtbot: QtBot) -> None:

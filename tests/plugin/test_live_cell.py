@@ -36,8 +36,8 @@ from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.results.read import read_result
 from pv_inspect.results.write import write_result
 from pv_inspect.settings import Settings
+from tests.waiting import LONG_S
 
-LONG_MS = 30_000
 Bench = tuple[Any, InspectDock, CellsDock]
 
 
@@ -50,7 +50,7 @@ def live(workbench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[Ins
     model.inspection_changed.emit(tiny_inspection)
     shown = show_live_cell(dock.workbench, dock)
     dock.workbench.live_cell.set_active(True)
-    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(shown))
     return dock, shown
 
 
@@ -64,7 +64,7 @@ def has_ended(live: LiveDock) -> bool:
 
 
 def settled(qtbot: Any, live: LiveDock) -> None:
-    qtbot.waitUntil(lambda: has_ended(live), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(live))
     live.workbench.live_cell.settle()
 
 
@@ -108,7 +108,7 @@ def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbo
     roughness = []
     for position in (300, 700):
         dock.image.prior_weight.slider.setValue(position)
-        qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+        qtbot.waitUntil(lambda: has_ended(shown))
         assert f"lambda {dock.image.prior_weight.value:.3g}" in shown.caption.text()
         roughness.append(float(np.abs(np.diff(shown._picture.image, 2, axis=1)).mean()))
     # A prior a hundred times as strong leaves less curvature.
@@ -158,7 +158,7 @@ def test_it_is_compared_with(
     dock.workbench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
     shown.compare(source)
-    qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None)
     shown.compare(Source.NOTHING)
     assert shown.view._pictures[0][0] is None
 
@@ -171,9 +171,9 @@ def test_a_trial_of_another_cell_is_rendered_for_this_one(
     trial = dock.workbench.tuning.trials[0]
     other = (2, 3) if trial.picture.cell != (2, 3) else (0, 0)
     dock.workbench.model.select_cell(other)
-    qtbot.waitUntil(lambda: shown._picture.cell == other, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: shown._picture.cell == other)
     cell = dock.workbench.live_cell
-    qtbot.waitUntil(lambda: cell.reference(trial) is not None, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: cell.reference(trial) is not None)
     assert cell.reference(trial).cell == other
 
 
@@ -216,7 +216,7 @@ def test_any_trial_is_compared_with_bicubic_and_with_any_other(
     in_list = [shown.against.itemText(k) for k in range(shown.against.count())]
     assert in_list[-3:] == ["first look", "lambda 5", "lambda 7"]
     shown.compare(Source.BICUBIC, 2)
-    qtbot.waitUntil(lambda: texts(shown)[0].startswith("bicubic, "), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: texts(shown)[0].startswith("bicubic, "))
     assert texts(shown)[1] == "lambda 5"
     shown.compare(3, 1)
     assert texts(shown) == ["lambda 7", "first look"]
@@ -224,10 +224,7 @@ def test_any_trial_is_compared_with_bicubic_and_with_any_other(
     dock.workbench.model.select_cell(other)
     cell = dock.workbench.live_cell
     first, _, third = dock.workbench.tuning.trials
-    qtbot.waitUntil(
-        lambda: cell.reference(first) is not None and cell.reference(third) is not None,
-        timeout=LONG_MS,
-    )
+    qtbot.waitUntil(lambda: cell.reference(first) is not None and cell.reference(third) is not None)
     assert texts(shown) == ["lambda 7", "first look"]
     # Who moves a control wants to see what it does.
     dock.workbench.model.change_settings(prior_weight=6.0)
@@ -265,7 +262,7 @@ def test_it_computes_only_while_it_is_seen(live: tuple[InspectDock, LiveDock], q
     qtbot.wait(300)
     assert shown._picture is before
     dock.workbench.live_cell.set_active(True)
-    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(shown))
 
 
 def test_a_geometry_out_of_reach_is_one_sentence(
@@ -274,7 +271,7 @@ def test_a_geometry_out_of_reach_is_one_sentence(
     dock, shown = live
     names = dock.workbench.model.sequence.names
     dock.workbench.model.change_settings(skip_frames=names)
-    qtbot.waitUntil(lambda: "All frames are left out" in shown.caption.text(), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: "All frames are left out" in shown.caption.text())
 
 
 def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_setting(
@@ -292,7 +289,7 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
 
     def slow(self: CellRenderer, *given: Any) -> Iterator[Any]:
         asked.append(given[2])
-        go_on.wait(LONG_MS / 1e3)
+        go_on.wait(LONG_S)
         yield from render(self, *given)
 
     monkeypatch.setattr(CellRenderer, "pictures", slow)
@@ -300,12 +297,12 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
         dock.image.prior_weight.slider.setValue(position)
         QApplication.processEvents()
     go_on.set()
-    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(shown))
     assert model.run_state is RunState.RUNNING
     assert asked[-1] == model.settings
     assert len(asked) <= 2
     dock.workbench.runs.cancel()
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
     assert has_ended(shown)
 
 
@@ -323,7 +320,7 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
             yield from render(self, *given)
             return
         begun.set()
-        go_on.wait(LONG_MS / 1e3)
+        go_on.wait(LONG_S)
         for picture in render(self, *given):
             late.append(picture)
             yield picture
@@ -332,11 +329,11 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
     arrived: list[Any] = []
     dock.workbench.live_cell.pictured.connect(arrived.append)
     model.change_settings(prior_weight=4.0)
-    assert begun.wait(LONG_MS / 1e3)
+    assert begun.wait(LONG_S)
     model.inspection = replace(before, registration=replace(before.registration))
     model.inspection_changed.emit(model.inspection)
     go_on.set()
-    qtbot.waitUntil(lambda: bool(arrived) and arrived[-1].finished, timeout=LONG_MS)
+    qtbot.waitUntil(lambda: bool(arrived) and arrived[-1].finished)
     assert any(picture is not None for picture in late)
     assert not any(one is other for one in arrived for other in late)
 
@@ -368,7 +365,7 @@ def test_the_view_is_fitted_once_the_canvas_has_its_size(
 ) -> None:
     _, dock, _ = workbench
     own, fitted = dock.workbench, []
-    qtbot.waitUntil(lambda: not own._fit_timer.isActive(), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: not own._fit_timer.isActive())
     canvas = own.viewer.canvas
     monkeypatch.setattr(own.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
     for _ in range(2):  # when it is made, and when it comes back
@@ -378,7 +375,7 @@ def test_the_view_is_fitted_once_the_canvas_has_its_size(
         canvas.size = (300, 280)
         own._fit()
         assert fitted == []
-        qtbot.waitUntil(lambda: bool(fitted), timeout=LONG_MS)
+        qtbot.waitUntil(lambda: bool(fitted))
         fitted.clear()
 
 
@@ -396,7 +393,7 @@ def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
 ) -> None:
     dock, shown = live
     dock.workbench.model.change_settings(prior="tikhonov")
-    qtbot.waitUntil(lambda: has_ended(shown), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(shown))
     expected = typical_prior_weight("tikhonov")
     assert f"lambda {expected:.3g}" in shown.caption.text()
     assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
@@ -471,4 +468,4 @@ def test_a_dock_that_was_closed_comes_back(live: tuple[InspectDock, LiveDock], q
     again = show_live_cell(dock.workbench, dock)
     assert again is not shown
     dock.workbench.live_cell.set_active(True)
-    qtbot.waitUntil(lambda: has_ended(again), timeout=LONG_MS)
+    qtbot.waitUntil(lambda: has_ended(again))

@@ -19,6 +19,7 @@ from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.session import Session, read_session, write_session
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
@@ -41,7 +42,7 @@ def app(make_napari_viewer: Callable[..., Any]) -> tuple[Any, Any, Any]:
 
 
 def opened(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
 
 
 def add(viewer: Any, layers: list[Any]) -> None:
@@ -81,7 +82,7 @@ def test_another_lambda_runs_from_the_stored_geometry(
     before = model.inspection
     model.change_settings(prior_weight=3.0)
     assert dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=60_000)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
     assert model.inspection.complete
     assert model.inspection.registration is before.registration
     assert not np.array_equal(model.inspection.reconstruction.image, before.reconstruction.image)
@@ -122,7 +123,9 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
     image = viewer.layers["Module image"]
-    middle = dock.workbench.model.result.grid.to_pixels(np.array([[0.5, 0.5]]))[0]
+    middle = dock.workbench.model.result.need(Reconstruction).grid.to_pixels(
+        np.array([[0.5, 0.5]])
+    )[0]
     y, x = image.data_to_world((middle[1], middle[0]))
     assert tuple(viewer.scene.camera.center[-2:]) == pytest.approx((y, x), abs=1.0)
 
@@ -137,9 +140,9 @@ def test_the_selected_cell_the_frame_and_the_page_come_back(
     assert dock.workbench.model.selected_cell == (1, 2)
     assert viewer.dims.current_step[0] == 3
     assert dock.pages.tabText(dock.pages.currentIndex()) == "Frames"
-    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5), timeout=2000)
+    qtbot.waitUntil(lambda: viewer.scene.camera.zoom == pytest.approx(2.5))
     dock.workbench.model.select_cell((2, 1))
-    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1), timeout=3000)
+    qtbot.waitUntil(lambda: read_session(result_folder).cell == (2, 1))
 
 
 def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
@@ -147,9 +150,9 @@ def test_the_session_is_kept_beside_a_saved_result_when_the_window_closes(
 ) -> None:
     viewer, dock, _ = workbench
     dock.workbench.runs.start()
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.session.folder is not None)
     dock.workbench.model.select_cell((0, 3))
     viewer.dims.set_current_step(0, 4)
     viewer.close()

@@ -28,7 +28,7 @@ def detected(workbench: Any, replayed: Any, qtbot: QtBot) -> tuple[Any, Any, Any
 
 def rest(dock: Any, qtbot: QtBot) -> None:
     """Wait until all frames have followed."""
-    qtbot.waitUntil(lambda: not dock.workbench.recalibration.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not dock.workbench.recalibration.busy)
 
 
 def row_of(dock: Any, frame: int, crossing: int) -> int:
@@ -60,7 +60,7 @@ def test_a_dragged_point_is_an_edit_that_the_fit_follows_and_undo_takes_back(
     assert str(layer.symbol[row]) == appearance.POINT_SYMBOLS[2]
     np.testing.assert_allclose(layer.border_color[row], COLOURS[2], atol=1e-6)
     fitted = grid.data[:, 0, 0] == 2
-    qtbot.waitUntil(lambda: not np.array_equal(grid.data[fitted], lines[fitted]), timeout=2000)
+    qtbot.waitUntil(lambda: not np.array_equal(grid.data[fitted], lines[fitted]))
     assert "1 edited" in dock.points.state.text()
     assert workbench.editor.provisional
     assert workbench.model.inspection.calibration is None
@@ -194,7 +194,7 @@ def test_points_rest_while_a_run_goes_on_and_the_run_uses_the_edited_ones(
     edited = dock.workbench.editor.crossings
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: replayed.starts != [], timeout=5000)
+    qtbot.waitUntil(lambda: replayed.starts != [])
     assert replayed.starts[-1].crossings is edited
     assert not layer.editable
     assert not dock.points.select.isEnabled()
@@ -203,7 +203,7 @@ def test_points_rest_while_a_run_goes_on_and_the_run_uses_the_edited_ones(
     dock.workbench.history.undo()
     dock.run.cancel.click()
     replayed.go_on = True
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     np.testing.assert_allclose(layer.data[row], before[row])
 
 

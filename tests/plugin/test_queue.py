@@ -10,6 +10,7 @@ from pytestqt.qtbot import QtBot
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.tasks.run import RunController
 from pv_inspect.errors import InspectionError
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
@@ -26,14 +27,12 @@ def hold(runs: RunController, replayed: Any, qtbot: QtBot) -> None:
     """Start a run and wait until it is in the middle."""
     replayed.go_on = False
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.running_stage is Stage.RECONSTRUCT, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.running_stage is Stage.RECONSTRUCT)
 
 
 def finish(runs: RunController, replayed: Any, qtbot: QtBot) -> None:
     replayed.go_on = True
-    qtbot.waitUntil(
-        lambda: runs.model.run_state is RunState.IDLE and not runs.waiting, timeout=10_000
-    )
+    qtbot.waitUntil(lambda: runs.model.run_state is RunState.IDLE and not runs.waiting)
 
 
 def test_a_run_with_changed_settings_takes_the_place_of_the_current_one(
@@ -42,7 +41,7 @@ def test_a_run_with_changed_settings_takes_the_place_of_the_current_one(
     hold(runs, replayed, qtbot)
     runs.model.change_settings(prior_weight=0.5)
     assert runs.start()
-    qtbot.waitUntil(lambda: len(replayed.starts) == 2, timeout=10_000)
+    qtbot.waitUntil(lambda: len(replayed.starts) == 2)
     assert replayed.closed == 1, "the first one is over before the second begins"
     finish(runs, replayed, qtbot)
     assert runs.model.inspection is not None
@@ -138,6 +137,9 @@ def test_no_inspection_of_an_earlier_run_is_kept(
         finish(runs, replayed, qtbot)
         seen.append(ref(dock.workbench.model.inspection))
         replayed.starts.clear()
-    qtbot.wait(50)
-    gc.collect()
-    assert [alive() is None for alive in seen] == [True, True, False]
+
+    def is_gone(inspection: ref[Inspection]) -> bool:
+        gc.collect()
+        return inspection() is None
+
+    qtbot.waitUntil(lambda: [is_gone(inspection) for inspection in seen] == [True, True, False])

@@ -38,7 +38,7 @@ NONE = Qt.KeyboardModifier.NoModifier
 def press(widget: Any, key: Any, qtbot: QtBot) -> None:
     widget.window().activateWindow()
     widget.setFocus()
-    qtbot.waitUntil(widget.hasFocus, timeout=2000)
+    qtbot.waitUntil(widget.hasFocus)
     QTest.keyClick(widget, key)
 
 
@@ -210,7 +210,7 @@ def test_a_failure_that_is_known_is_asked_about_at_once(
     monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
     state = dock.workbench.review.state
     state.give((0, 0), VerdictKind.OK)
-    qtbot.waitUntil(lambda: state.is_failing, timeout=5000)
+    qtbot.waitUntil(lambda: state.is_failing)
     patience: list[float] = []
     wait = state.wait
     monkeypatch.setattr(state, "wait", lambda s: patience.append(s) or wait(s))
@@ -289,7 +289,7 @@ def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
     dock.workbench.model.select_cell((1, 1))
     cells.open_cell()
     view = large_cell(dock.workbench).view
-    qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: view._frame is not None)
     return dock, view
 
 
@@ -394,11 +394,11 @@ def test_table_and_report_are_written_with_the_module_data(
     dock.export.fields["serial_number"].editingFinished.emit()
     dock.export.export.click()
     page = tmp_path / "out" / "review.html"
-    qtbot.waitUntil(page.exists, timeout=30_000)
+    qtbot.waitUntil(page.exists)
     assert "PV-0815" in page.read_text()
     assert "inactive_area" in (tmp_path / "out" / "verdicts.csv").read_text()
     assert ReviewStore(tmp_path / "out").module_data().current_a == 8.5
-    qtbot.waitUntil(lambda: "review.html" in dock.run.message.text(), timeout=10_000)
+    qtbot.waitUntil(lambda: "review.html" in dock.run.message.text())
 
 
 def test_a_number_that_is_none_is_one_sentence(saved: Any, monkeypatch: Any) -> None:
@@ -448,13 +448,13 @@ def test_opening_the_result_again_goes_on_with_its_frames(
     state.give((1, 1), VerdictKind.CRACK_B)
     stored(dock, qtbot)
     dock.workbench.open(tmp_path / "out")
-    qtbot.waitUntil(lambda: model.inspection not in (None, before), timeout=20_000)
-    qtbot.waitUntil(lambda: state.verdict((1, 1)) is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: model.inspection not in (None, before))
+    qtbot.waitUntil(lambda: state.verdict((1, 1)) is not None)
     assert state.folder == (tmp_path / "out").resolve()
     model.select_cell((1, 1))
     cells.open_cell()
     view = large_cell(dock.workbench).view
-    qtbot.waitUntil(lambda: view._frame is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: view._frame is not None)
     stored(dock, qtbot)
 
 
@@ -481,7 +481,7 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
     assert dock.workbench.model.settings.dark_frame is None
     assert state.verdict((0, 1)).kind is VerdictKind.CRACK_A
     dock.workbench.open(tiny_folder)
-    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not before, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.sequence is not before)
     assert state.verdict((0, 1)) is None
     sentence = "1 entries of the review are not stored, because the result was not saved yet."
     assert asked == [f"{sentence} Discard them?"] * 3
@@ -498,7 +498,7 @@ def test_the_focus_alone_selects_no_other_cell(saved: Any, qtbot: QtBot) -> None
     assert state.listed == ((0, 3),)
     viewer.window._qt_window.activateWindow()
     cells.view.setFocus()
-    qtbot.waitUntil(cells.view.hasFocus, timeout=5000)
+    qtbot.waitUntil(cells.view.hasFocus)
     assert model.selected_cell == (1, 0)
     QTest.keyClick(cells.view, "c")
     assert state.verdict((1, 0)).kind is VerdictKind.CRACK_C

@@ -36,7 +36,7 @@ def judged(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: Q
     viewer.window._qt_window.show()
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None)
     dock.workbench.model.select_cell((2, 3))
     dock.workbench.review.advances = False
     dock.workbench.review.judge(OK)
@@ -166,11 +166,11 @@ def test_cells_stay_while_a_run_of_the_same_layout_goes_on(
     dock.workbench.model.change_settings(prior_weight=0.5)
     dock.run.run.click()
     assert not large_cell(dock.workbench).is_open, "the image grows on the canvas"
-    qtbot.waitUntil(lambda: dock.run.progress.value() > 600, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.run.progress.value() > 600)
     assert dock.workbench.model.shown.tiles is None
     assert cells.cells.rowCount() == 12
     replayed.go_on = True
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     assert cells.cells.rowCount() == 12
 
 

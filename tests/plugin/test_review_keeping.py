@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from pathlib import Path
-from time import monotonic, sleep
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from napari_pv_inspect.review.subject import Subject
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import ModuleData, ReviewStore, Verdict, VerdictKind
+from tests.waiting import LONG_S, wait_until
 
 OK, A, B, C = VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_B, VerdictKind.CRACK_C
 Make = Callable[..., ReviewModel]
@@ -50,11 +51,7 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def until(review: ReviewModel, happened: Callable[[], Any]) -> None:
-    end = monotonic() + 10
-    while not happened():
-        assert monotonic() < end, "waited in vain"
-        sleep(0.01)
-        review.collect()
+    wait_until(happened, review.collect)
 
 
 def line_on(review: ReviewModel) -> Any:
@@ -81,7 +78,7 @@ def test_marks_are_measured_before_there_is_a_folder_and_go_into_it(
     review.give((1, 1), B)
     assert review.folder is None
     review.attach(tmp_path)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     (stored,) = ReviewStore(tmp_path).current()
     assert stored.kind is B
     assert stored.crack_length_cells == pytest.approx(length, rel=0.1)
@@ -114,11 +111,11 @@ def test_saving_elsewhere_takes_along_what_all_raters_said(
     review.attach(first)
     review.give((0, 0), A)
     review.write_note((1, 0), "typed")
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     review.attach(second)
     assert review.verdict((0, 0)).kind is A, "in sight all the time"
     assert review.note((1, 0)) == "typed"
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     until(review, lambda: review.others((2, 2)))
     with ReviewStore(second) as store:
         found = {(v.rater, v.cell): (v.kind, v.note) for v in store.current()}
@@ -142,9 +139,9 @@ def test_saving_elsewhere_never_replaces_what_is_said_there(
     review.attach(first)
     review.give((0, 0), A)
     review.give((0, 1), B)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     review.attach(second)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     until(review, lambda: review.verdict((0, 0)).kind is C)
     assert {v.cell: v.kind for v in ReviewStore(second).current()} == {(0, 0): C, (0, 1): B}
     (sentence,) = said
@@ -166,9 +163,9 @@ def test_notes_and_marks_that_stay_in_the_other_folder_are_told_and_shown(
     review.attach(first)
     review.give((0, 0), A)
     review.correct((1, 1), mask)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     review.attach(second)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     until(review, lambda: said)
     assert "2 cells already" in said[0]
     assert (review.verdict((0, 0)), review.note((0, 0))) == (None, "look again")
@@ -192,7 +189,7 @@ def test_what_the_full_disk_refused_goes_into_the_other_folder(
     review.failed.connect(said.append)
     review.attach(first)
     review.give((0, 0), A)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     monkeypatch.setattr(ReviewStore, "give", refuse)
     review.give((0, 0), C)
     review.give((0, 1), B)
@@ -201,7 +198,7 @@ def test_what_the_full_disk_refused_goes_into_the_other_folder(
     until(review, lambda: len(ReviewStore(second).current()) == 2)
     assert {v.cell: v.kind for v in ReviewStore(second).current()} == {(0, 0): C, (0, 1): B}
     monkeypatch.setattr(ReviewStore, "give", give)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
 
 
 def test_what_was_judged_before_the_folder_was_known_counts_and_undo_brings_the_earlier_back(
@@ -215,12 +212,12 @@ def test_what_was_judged_before_the_folder_was_known_counts_and_undo_brings_the_
     review.failed.connect(said.append)
     review.give((0, 0), A)
     review.attach(tmp_path)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     until(review, lambda: said)
     assert "1 of the cells" in said[0]
     assert {v.cell: v.kind for v in ReviewStore(tmp_path).current()} == {(0, 0): A, (0, 1): OK}
     review._history.undo()
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     assert review.verdict((0, 0)).kind is C
     assert review.note((0, 0)) == "last week"
 
@@ -235,19 +232,19 @@ def test_a_note_waits_goes_with_its_verdict_and_returns_when_that_is_undone(
     assert review.verdict((0, 0)).note == "dark corner"
     review._history.undo()
     assert review.note((0, 0)) == "dark corner"
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     assert review.note((0, 0)) == "dark corner"
     assert ReviewStore(tmp_path).waiting_notes("Ada") == {(0, 0): "dark corner"}
     review._history.redo()
     review.withdraw((0, 0))
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     assert (review.verdict((0, 0)), review.note((0, 0))) == (None, "dark corner")
     again = make()
     again.attach(tmp_path)
-    assert again.wait(10)
+    assert again.wait(LONG_S)
     assert again.note((0, 0)) == "dark corner"
     again.give((0, 0), C)
-    assert again.wait(10)
+    assert again.wait(LONG_S)
     assert ReviewStore(tmp_path).current()[0].note == "dark corner"
 
 
@@ -270,10 +267,10 @@ def test_nothing_is_lost_when_the_rater_changes_and_comes_back(
     review.give((0, 0), C)
     assert review.is_disputed((0, 0))
     if saved:
-        assert review.wait(10)
+        assert review.wait(LONG_S)
     review.set_rater("Ada")
     if saved:
-        assert review.wait(10)
+        assert review.wait(LONG_S)
     assert review.verdict((0, 0)).kind is A
     assert review.note((0, 1)) == "typed"
     np.testing.assert_array_equal(review.correction((1, 1)), mask)

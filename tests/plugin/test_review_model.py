@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from pathlib import Path
 from threading import Event
-from time import monotonic, sleep
+from time import sleep
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from napari_pv_inspect.review.subject import Subject
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import ModuleData, Order, ReviewState, ReviewStore, Verdict, VerdictKind
+from tests.waiting import LONG_S, wait_until
 
 OK, A, C = VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_C
 
@@ -76,12 +77,8 @@ def make(disk: Disk, subject: Subject) -> Generator[Callable[..., ReviewModel]]:
 
 
 def settle(review: ReviewModel, until: Callable[[], bool] = lambda: True) -> None:
-    end = monotonic() + 10
-    assert review.wait(10)
-    while not until():
-        assert monotonic() < end
-        sleep(0.01)
-        review.collect()
+    assert review.wait(LONG_S)
+    wait_until(until, review.collect)
 
 
 def test_a_verdict_is_shown_at_once_and_then_stored(make: Any, tmp_path: Path) -> None:
@@ -303,15 +300,13 @@ def test_what_has_time_waits_for_what_has_to_be_stored(tmp_path: Path) -> None:
     seen: list[str] = []
     journal = Journal(lambda _: None, lambda _: None, lambda _: None, poll_s=0.01)
     go_on = Event()
-    journal.attach(tmp_path, lambda _: go_on.wait(5), lambda _: None)
+    journal.attach(tmp_path, lambda _: go_on.wait(LONG_S), lambda _: None)
     journal.later(lambda: seen.append("later"), lambda _: None)
     journal.submit(lambda _: seen.append("stored"), lambda _: None)
     assert journal.pending == 2
     go_on.set()
-    assert journal.wait(5)
-    end = monotonic() + 5
-    while len(seen) < 2 and monotonic() < end:
-        sleep(0.01)
+    assert journal.wait(LONG_S)
+    wait_until(lambda: len(seen) == 2)
     assert seen == ["stored", "later"]
     journal.close(give_up=True)
 

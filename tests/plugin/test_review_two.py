@@ -24,6 +24,7 @@ from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import REVIEW_FILE, ReviewStore, VerdictKind, verdicts_csv
+from tests.waiting import LONG_S
 
 OK, A, B, C = VerdictKind.OK, VerdictKind.CRACK_A, VerdictKind.CRACK_B, VerdictKind.CRACK_C
 
@@ -59,7 +60,7 @@ def ben(saved: Any, tmp_path: Path) -> Generator[Callable[[str], str]]:
         return process.stdout.readline().strip()
 
     yield say
-    process.communicate(timeout=20)
+    process.communicate(timeout=LONG_S)
 
 
 def test_two_processes_see_each_other_and_where_they_differ(
@@ -70,9 +71,9 @@ def test_two_processes_see_each_other_and_where_they_differ(
     state.set_rater("Ada")
     state.give((0, 0), OK)
     state.give((0, 1), A)
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    qtbot.waitUntil(lambda: state.pending == 0)
     assert "Ada:0:0:ok" in ben("0 0 crack_c")
-    qtbot.waitUntil(lambda: bool(state.others((0, 0))), timeout=10_000)
+    qtbot.waitUntil(lambda: bool(state.others((0, 0))))
     assert state.is_disputed((0, 0))
     assert not state.is_disputed((0, 1))
     assert "the raters differ" in cell_text(state, (0, 0))
@@ -83,7 +84,7 @@ def test_two_processes_see_each_other_and_where_they_differ(
     assert table.splitlines()[1].startswith("1,1,disagreed,")
     state.give((0, 0), C)
     assert state.listed == ()
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    qtbot.waitUntil(lambda: state.pending == 0)
     assert "Ada:0:0:crack_c" in ben("1 1 ok")
 
 
@@ -102,7 +103,7 @@ def test_a_locked_database_is_one_sentence_and_the_verdict_is_stored_when_it_is_
     review.show(Subject.of_inspection(tiny_inspection))
     review.attach(tmp_path)
     review.give((0, 0), OK)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     blocker = sqlite3.connect(tmp_path / REVIEW_FILE, isolation_level=None)
     blocker.execute("BEGIN EXCLUSIVE")
     review.give((0, 1), A)
@@ -111,7 +112,7 @@ def test_a_locked_database_is_one_sentence_and_the_verdict_is_stored_when_it_is_
         review.collect()
         return bool(said)
 
-    qtbot.waitUntil(told, timeout=10_000)
+    qtbot.waitUntil(told)
     qtbot.wait(200)
     review.collect()
     assert len(said) == 1, "once, however often it is tried"
@@ -120,7 +121,7 @@ def test_a_locked_database_is_one_sentence_and_the_verdict_is_stored_when_it_is_
     assert review.is_pending((0, 1))
     blocker.execute("ROLLBACK")
     blocker.close()
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     assert [v.kind for v in ReviewStore(tmp_path).current()] == [OK, A]
     review.close()
 
@@ -141,12 +142,12 @@ def test_a_write_protected_folder_is_one_sentence_and_keeps_the_verdict(
         review.collect()
         return bool(said)
 
-    qtbot.waitUntil(told, timeout=10_000)
+    qtbot.waitUntil(told)
     assert not review.wait(0.2)
     assert len(said) == 1
     assert review.verdict((0, 0)).kind is OK
     tmp_path.chmod(0o700)
-    assert review.wait(10)
+    assert review.wait(LONG_S)
     review.close()
 
 
@@ -159,7 +160,7 @@ def test_what_stands_in_the_note_is_stored_when_the_window_closes(
     note = dock.verdict.note
     viewer.window._qt_window.activateWindow()
     note.setFocus()
-    qtbot.waitUntil(note.hasFocus, timeout=2000)
+    qtbot.waitUntil(note.hasFocus)
     QTest.keyClicks(note, "not entered")
     rater = dock.workbench.review.state.rater
     viewer.close()
@@ -177,7 +178,7 @@ def test_what_stands_in_the_note_goes_to_the_rater_who_typed_it(saved: Any, qtbo
     assert dock.verdict.note.text() == ""
     dock.workbench.review.set_rater("Ada")
     assert dock.verdict.note.text() == "by Ada"
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    qtbot.waitUntil(lambda: state.pending == 0)
 
 
 @pytest.mark.parametrize("order", ["by position", "by crack score"])
@@ -194,10 +195,10 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
     model.select_cell(wanted[0])
     viewer.window._qt_window.activateWindow()
     cells.view.setFocus()
-    qtbot.waitUntil(cells.view.hasFocus, timeout=2000)
+    qtbot.waitUntil(cells.view.hasFocus)
     QTest.keyClick(cells.view, Qt.Key.Key_Return)
     view = large_cell(dock.workbench).view
-    qtbot.waitUntil(view.hasFocus, timeout=2000)
+    qtbot.waitUntil(view.hasFocus)
     judged = []
     for number in range(len(wanted)):
         judged.append(model.selected_cell)
@@ -211,4 +212,4 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
             assert view.hasFocus()
     assert tuple(judged) == wanted
     assert state.progress.judged == 12
-    qtbot.waitUntil(lambda: state.pending == 0, timeout=10_000)
+    qtbot.waitUntil(lambda: state.pending == 0)

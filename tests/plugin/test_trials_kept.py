@@ -98,7 +98,7 @@ def test_trials_are_written_soon_after_a_change(
     workbench = new_bench()
     workbench.reopen(folder)
     workbench.try_(1.0)
-    qtbot.waitUntil(lambda: len(read_trials(folder)) == 1, timeout=5000)
+    qtbot.waitUntil(lambda: len(read_trials(folder)) == 1)
 
 
 def test_saving_elsewhere_leaves_the_newest_trial_in_the_folder_before_as_well(
@@ -174,7 +174,7 @@ def test_a_folder_that_went_away_is_told_once(
         workbench.try_(weight)
         workbench.keeper._write()
     workbench.keeper._thread.submit(int).result()
-    qtbot.waitUntil(lambda: bool(workbench.said), timeout=5000)
+    qtbot.waitUntil(lambda: bool(workbench.said))
     qtbot.wait(50)
     assert [("the folder is gone" in text) for text in workbench.said] == [True]
 
@@ -196,6 +196,6 @@ def test_the_workbench_keeps_them_also_if_it_is_closed_while_it_saves(
     tuning.pictured(CellPicture(image, (0, 0), "", model.settings))
     dock.save(tmp_path / "out")
     if not at_once:
-        qtbot.waitUntil(lambda: dock.workbench.trials.folder is not None, timeout=20_000)
+        qtbot.waitUntil(lambda: dock.workbench.trials.folder is not None)
     viewer.close()
     assert len(read_trials(tmp_path / "out")) == 1

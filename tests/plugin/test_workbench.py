@@ -20,7 +20,7 @@ from pv_inspect.sequence.sequence import FrameSequence
 
 
 def finish(dock: Any, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
 
 
 def run(dock: Any, qtbot: QtBot) -> None:
@@ -43,7 +43,7 @@ def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
     _, dock, _ = workbench
     dock.workbench.model.open(replace(tiny_sequence, layout_hint={}))
     assert dock.module.rows.value() == 0
-    qtbot.waitUntil(lambda: dock.module.rows.value() > 0, timeout=20_000)
+    qtbot.waitUntil(lambda: dock.module.rows.value() > 0)
     assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
     assert not dock.module.confirm.isHidden()
     dock.module.cols.setValue(5)
@@ -91,7 +91,7 @@ def test_intermediate_images_are_shown(workbench: Any, replayed: Any, qtbot: QtB
     viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
+    qtbot.waitUntil(lambda: "Module image" in viewer.layers)
     preview = viewer.layers["Module image"]
     assert preview.data.shape[0] < replayed.inspection.reconstruction.image.shape[0]
     assert dock.run.cancel.isEnabled()
@@ -112,9 +112,7 @@ def test_cancel_brings_the_last_whole_result_back(
     dock.image.prior_weight.number.setValue(0.5)
     assert "reconstruct" in dock.run.message.text()
     dock.run.run.click()
-    qtbot.waitUntil(
-        lambda: viewer.layers["Module image"].data is not whole.reconstruction.image, timeout=10_000
-    )
+    qtbot.waitUntil(lambda: viewer.layers["Module image"].data is not whole.reconstruction.image)
     dock.run.cancel.click()
     finish(dock, qtbot)
     assert dock.workbench.model.inspection is whole
@@ -133,12 +131,12 @@ def test_kappa_bends_the_shown_grid_and_fit_brings_it_back(
     grid = viewer.layers["Fitted grid"]
     before = grid.data.copy()
     dock.lens.kappa.slider.setValue(40)
-    qtbot.waitUntil(lambda: not np.array_equal(grid.data, before), timeout=5000)
+    qtbot.waitUntil(lambda: not np.array_equal(grid.data, before))
     others = grid.data[:, 0, 0] != 2
     np.testing.assert_array_equal(grid.data[others], before[before[:, 0, 0] != 2])
     assert "px" in dock.lens.residual.text()
     dock.lens.fit.click()
-    qtbot.waitUntil(lambda: np.array_equal(grid.data, before), timeout=5000)
+    qtbot.waitUntil(lambda: np.array_equal(grid.data, before))
     assert dock.workbench.model.settings.kappa is None
 
 
@@ -154,10 +152,7 @@ def test_the_bent_grid_moves_on_with_the_time_slider(
     dock.lens.kappa.slider.setValue(40)
     viewer.dims.set_current_step(0, 4)
     qtbot.waitUntil(
-        lambda: (
-            not np.array_equal(grid.data[grid.data[:, 0, 0] == 4], before[before[:, 0, 0] == 4])
-        ),
-        timeout=5000,
+        lambda: not np.array_equal(grid.data[grid.data[:, 0, 0] == 4], before[before[:, 0, 0] == 4])
     )
     np.testing.assert_array_equal(grid.data[grid.data[:, 0, 0] == 0], before[before[:, 0, 0] == 0])
 
@@ -185,7 +180,7 @@ def test_all_layers_may_be_deleted_during_a_run(
     viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: "Module image" in viewer.layers, timeout=10_000)
+    qtbot.waitUntil(lambda: "Module image" in viewer.layers)
     viewer.layers.clear()
     replayed.go_on = True
     finish(dock, qtbot)
@@ -221,7 +216,7 @@ def test_closing_mid_run_stops_the_run(workbench: Any, replayed: Any, qtbot: QtB
     viewer, dock, _ = workbench
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: dock.workbench.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: dock.workbench.model.draft.registration is not None)
     viewer.close()
     assert replayed.closed == 1
     qtbot.wait(100)
@@ -234,13 +229,13 @@ def test_the_dock_may_be_closed_mid_run_and_opened_again(
     model = dock.workbench.model
     replayed.go_on = False
     dock.run.run.click()
-    qtbot.waitUntil(lambda: model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: model.draft.registration is not None)
     viewer.window.remove_dock_widget(dock)
     dock.deleteLater()
     del dock
     qtbot.wait(50)
     replayed.go_on = True
-    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: model.run_state is RunState.IDLE)
     assert model.inspection.complete
     again = InspectDock(viewer)
     viewer.window.add_dock_widget(again)
@@ -265,7 +260,7 @@ def test_save_writes_the_result_folder(
     _, dock, _ = workbench
     run(dock, qtbot)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: not dock.workbench.saver.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not dock.workbench.saver.busy)
     assert (tmp_path / "out" / "result.json").is_file()
 
 
@@ -276,12 +271,12 @@ def test_what_can_not_be_opened_or_saved_is_one_sentence_in_the_dock(
     popups: list[str] = []
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", popups.append)
     dock.workbench.open(tmp_path / "nowhere")
-    qtbot.waitUntil(lambda: not dock.workbench.opener.busy, timeout=5000)
+    qtbot.waitUntil(lambda: not dock.workbench.opener.busy)
     assert "nowhere" in dock.run.message.text()
     run(dock, qtbot)
     (tmp_path / "file").write_text("x")
     dock.save(tmp_path / "file" / "out")
-    qtbot.waitUntil(lambda: not dock.workbench.saver.busy, timeout=10_000)
+    qtbot.waitUntil(lambda: not dock.workbench.saver.busy)
     assert len(popups) == 2
     assert "\n" not in dock.run.message.text()
 

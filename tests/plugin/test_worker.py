@@ -24,7 +24,7 @@ def runs(tiny_sequence: FrameSequence, qtbot: QtBot) -> RunController:
 
 
 def wait_until_idle(runs: RunController, qtbot: QtBot) -> None:
-    qtbot.waitUntil(lambda: runs.model.run_state is RunState.IDLE, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.run_state is RunState.IDLE)
 
 
 def test_a_run_brings_the_whole_inspection(
@@ -51,7 +51,7 @@ def test_a_second_start_is_refused_while_a_run_goes_on(
 def test_run_cancel_run(runs: RunController, replayed: Any, qtbot: QtBot) -> None:
     replayed.go_on = False
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None)
     runs.cancel()
     wait_until_idle(runs, qtbot)
     assert replayed.closed == 1, "the generator is closed, so that its memory is free"
@@ -98,7 +98,7 @@ def test_shutdown_mid_run_closes_the_pipeline_and_reaches_the_model_no_more(
 ) -> None:
     replayed.go_on = False
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None)
     changes: list[object] = []
     runs.model.inspection_changed.connect(changes.append)
     runs.shutdown()
@@ -112,7 +112,7 @@ def test_the_run_of_another_sequence_begins_when_that_of_the_last_one_has_stoppe
 ) -> None:
     replayed.go_on, replayed.busy = False, True
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None)
     runs.model.open(FrameSequence.open(tiny_folder))
     assert runs.model.inspection is None
     assert replayed.closed == 0, "opening does not wait for the run"
@@ -131,7 +131,7 @@ def test_a_run_that_waits_for_another_one_to_stop_can_be_cancelled(
 ) -> None:
     replayed.go_on, replayed.busy = False, True
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None)
     runs.model.open(FrameSequence.open(tiny_folder))
     runs.start()
     runs.cancel()
@@ -154,7 +154,7 @@ def test_cancelling_says_what_is_kept(
     runs.model.noticed.connect(lambda text, _: said.append(text))
     replayed.go_on = False
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.registration is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.registration is not None)
     runs.cancel()
     wait_until_idle(runs, qtbot)
     kept = "the last whole result" if whole else "what was found so far"
@@ -166,7 +166,7 @@ def test_another_sequence_ends_the_run(
 ) -> None:
     replayed.go_on = False
     runs.start()
-    qtbot.waitUntil(lambda: runs.model.draft.crossings is not None, timeout=10_000)
+    qtbot.waitUntil(lambda: runs.model.draft.crossings is not None)
     runs.model.open(FrameSequence.open(tiny_folder))
     assert runs.model.run_state is RunState.IDLE
     qtbot.wait(50)

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from pv_inspect.cracks import CellFeatures, OperatingPoint
+from pv_inspect.cracks import CellFeatures, CrackMap, OperatingPoint
 from pv_inspect.errors import InspectionError
+from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.registration.registration import Registration
 from pv_inspect.results.read import read_result
 from pv_inspect.results.write import check_writable, tile_name, write_result
 from pv_inspect.storage import folders
@@ -60,24 +62,26 @@ def test_images_come_back_as_they_were_written(tmp_path: Path) -> None:
     inspection = made_inspection()
     write_result(inspection, tmp_path / "out")
     result = read_result(tmp_path / "out")
-    assert inspection.reconstruction is not None
     assert inspection.cracks is not None
-    np.testing.assert_array_equal(result.image, inspection.reconstruction.image)
-    np.testing.assert_array_equal(result.support, inspection.reconstruction.support)
-    np.testing.assert_array_equal(result.consistency, inspection.reconstruction.consistency)
-    np.testing.assert_array_equal(result.cracks, inspection.cracks.probability)
-    assert result.grid == inspection.reconstruction.grid
+    made, read_back = inspection.need(Reconstruction), result.need(Reconstruction)
+    found = result.need(CrackMap)
+    np.testing.assert_array_equal(read_back.image, made.image)
+    np.testing.assert_array_equal(read_back.support, made.support)
+    np.testing.assert_array_equal(read_back.consistency, made.consistency)
+    np.testing.assert_array_equal(found.probability, inspection.cracks.probability)
+    assert read_back.grid == made.grid
     assert result.settings == inspection.settings
     assert result.warnings == inspection.warnings
-    assert [f.used for f in result.frames] == [True, False, True]
-    assert np.isnan(result.frames[1].rms)
-    for read, written in zip(result.cells, inspection.cracks.cells, strict=True):
+    registration = result.need(Registration)
+    assert registration.used.tolist() == [True, False, True]
+    assert np.isnan(registration.rms[1])
+    for read, written in zip(found.cells, inspection.cracks.cells, strict=True):
         assert (read.row, read.col) == (written.row, written.col)
         for spec in fields(CellFeatures):
             value = getattr(written, spec.name)
             assert getattr(read, spec.name) == pytest.approx(value, rel=1e-5, nan_ok=True)
-    assert result.detector == inspection.cracks.detector
-    assert result.least_extent_cells == inspection.cracks.least_extent_cells
+    assert found.detector == inspection.cracks.detector
+    assert found.least_extent_cells == inspection.cracks.least_extent_cells
     tile = tifffile.imread(tmp_path / "out" / "cells" / "r01_c02.tif")
     assert inspection.tiles is not None
     np.testing.assert_array_equal(tile, inspection.tiles.images[0, 1])
@@ -104,7 +108,9 @@ def test_a_result_that_does_not_say_the_least_extent_can_be_read(tmp_path: Path)
     record = strict(path)
     del record["crack_least_extent_cells"]
     path.write_text(json.dumps(record))
-    assert read_result(tmp_path / "out").least_extent_cells == OperatingPoint.least_extent_cells
+    assert read_result(tmp_path / "out").need(CrackMap).least_extent_cells == (
+        OperatingPoint.least_extent_cells
+    )
 
 
 def test_the_module_image_states_its_resolution_in_pixels_per_cell_width(tmp_path: Path) -> None:
@@ -189,7 +195,7 @@ def test_a_cut_between_the_two_renames_is_healed(
     write_result(made_inspection(), out)
     before = snapshot(out)
     out.rename(tmp_path / ".out.previous")
-    assert snapshot(read_result(out).folder) == before
+    assert snapshot(read_result(out).source) == before
 
 
 def test_an_interrupt_while_writing_leaves_the_earlier_result(

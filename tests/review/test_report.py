@@ -10,9 +10,10 @@ from typer.testing import CliRunner
 
 from pv_inspect.cli import app as cli
 from pv_inspect.errors import InspectionError
+from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.reports.module_report import with_review_state
 from pv_inspect.results.read import read_result
-from pv_inspect.results.record import Result
 from pv_inspect.results.write import write_result
 from pv_inspect.review import Measure, ModuleData, ReviewStore, Verdict, VerdictKind, fingerprint
 from pv_inspect.review.report import export_review, render_review
@@ -22,12 +23,12 @@ from tests.reports.test_module_report import Reader
 
 
 @pytest.fixture
-def result(tmp_path: Path) -> Result:
+def result(tmp_path: Path) -> Inspection:
     write_result(made_inspection(), tmp_path / "out")
     return read_result(tmp_path / "out")
 
 
-def given(result: Result) -> list[Verdict]:
+def given(result: Inspection) -> list[Verdict]:
     made_by = fingerprint(result.settings)
     return [
         Verdict(0, 0, VerdictKind.OK, "Ann", settings=made_by),
@@ -41,14 +42,16 @@ def said(html: str) -> str:
     return " ".join(Reader(html.replace("</t", " </t")).text.split())
 
 
-def test_the_page_needs_nothing_from_outside_and_notes_are_text(result: Result) -> None:
+def test_the_page_needs_nothing_from_outside_and_notes_are_text(result: Inspection) -> None:
     html = render_review(result, given(result))
     assert all(a.startswith(("data:image/", "report.html")) for a in Reader(html).addresses)
     assert "<b>here</b>" not in html
     assert 'see "<b>here</b>"' in said(html)
 
 
-def test_the_page_says_how_far_the_review_is_and_where_the_raters_differ(result: Result) -> None:
+def test_the_page_says_how_far_the_review_is_and_where_the_raters_differ(
+    result: Inspection,
+) -> None:
     text = said(render_review(result, given(result)))
     assert "3 of 6 cells judged by Ann, Bob." in text
     assert "The raters disagree on 1: row 1, column 2." in text
@@ -56,21 +59,21 @@ def test_the_page_says_how_far_the_review_is_and_where_the_raters_differ(result:
     assert "other settings" not in text
 
 
-def test_every_judged_cell_is_marked_once_per_verdict_and_no_other(result: Result) -> None:
+def test_every_judged_cell_is_marked_once_per_verdict_and_no_other(result: Inspection) -> None:
     html = render_review(result, given(result))
     assert html.count('<rect class="box') == 3
     assert html.count('<rect class="box two"') == 1
     assert html.count('class="letter"') == 4
 
 
-def test_a_module_without_verdicts_has_an_empty_form(result: Result) -> None:
+def test_a_module_without_verdicts_has_an_empty_form(result: Inspection) -> None:
     html = render_review(result, [])
     assert "0 of 6 cells judged" in said(html)
     assert html.count('class="blank"') == 6
     assert "Cells with a finding" not in html
 
 
-def test_module_data_fill_the_form(result: Result) -> None:
+def test_module_data_fill_the_form(result: Inspection) -> None:
     html = render_review(result, [], ModuleData("SN <7>", 8.5, 0.4, 21))
     text = said(html)
     assert "Serial number SN <7>" in text
@@ -80,21 +83,21 @@ def test_module_data_fill_the_form(result: Result) -> None:
     assert html.count('class="blank"') == 2
 
 
-def test_verdicts_on_another_image_are_told(result: Result) -> None:
+def test_verdicts_on_another_image_are_told(result: Inspection) -> None:
     old = replace(given(result)[0], settings="older")
     assert "1 cell was judged on an image that was made with other settings" in said(
         render_review(result, [old])
     )
 
 
-def test_the_page_has_rules_for_printing(result: Result) -> None:
+def test_the_page_has_rules_for_printing(result: Inspection) -> None:
     html = render_review(result, given(result))
     assert "@media print" in html
     assert "break-before: page" in html
 
 
-def test_a_corrected_mask_is_shown_instead_of_the_detectors(result: Result) -> None:
-    y, x = result.grid.cell_slices(0, 1)
+def test_a_corrected_mask_is_shown_instead_of_the_detectors(result: Inspection) -> None:
+    y, x = result.need(Reconstruction).grid.cell_slices(0, 1)
     nothing = np.zeros((y.stop - y.start, x.stop - x.start), bool)
     plain = render_review(result, given(result))
     corrected = render_review(result, given(result), corrected={(0, 1): nothing})
@@ -102,8 +105,8 @@ def test_a_corrected_mask_is_shown_instead_of_the_detectors(result: Result) -> N
     assert "corrected" in said(corrected)
 
 
-def test_the_export_has_a_row_per_cell_and_columns_per_rater(result: Result) -> None:
-    with ReviewStore(result.folder) as store:
+def test_the_export_has_a_row_per_cell_and_columns_per_rater(result: Inspection) -> None:
+    with ReviewStore(result.source) as store:
         for verdict in given(result):
             store.give(verdict)
         store.correct((0, 1), "Ann", np.ones((80, 80), bool), 0.75, 0.1)
@@ -124,9 +127,9 @@ def test_the_export_has_a_row_per_cell_and_columns_per_rater(result: Result) -> 
 
 
 def test_a_full_disk_leaves_the_earlier_export(
-    result: Result, monkeypatch: pytest.MonkeyPatch
+    result: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with ReviewStore(result.folder) as store:
+    with ReviewStore(result.source) as store:
         table, _ = export_review(result, store)
         before = table.read_bytes()
         store.give(given(result)[0])
@@ -139,19 +142,19 @@ def test_a_full_disk_leaves_the_earlier_export(
         with pytest.raises(InspectionError, match=r"verdicts.csv can't be written: the disk is fu"):
             export_review(result, store)
     assert table.read_bytes() == before
-    assert not list(result.folder.glob(".*partial*"))
+    assert not list(result.source.glob(".*partial*"))
 
 
-def test_a_new_run_keeps_the_verdicts_and_the_export(result: Result) -> None:
-    with ReviewStore(result.folder) as store:
+def test_a_new_run_keeps_the_verdicts_and_the_export(result: Inspection) -> None:
+    with ReviewStore(result.source) as store:
         store.give(given(result)[0])
         export_review(result, store)
-        write_result(made_inspection(), result.folder)
+        write_result(made_inspection(), result.source)
         assert len(store.current()) == 1
-    assert (result.folder / "verdicts.csv").exists()
+    assert (result.source / "verdicts.csv").exists()
 
 
-def test_a_measure_is_made_from_a_result(result: Result) -> None:
+def test_a_measure_is_made_from_a_result(result: Inspection) -> None:
     measure = Measure.of(result)
     assert measure.cell_width_px == 80
     assert measure.usual_intensity == pytest.approx(0.4)
@@ -164,21 +167,21 @@ def called(*arguments: object) -> str:
     return found.stdout
 
 
-def test_the_command_tells_the_progress_stores_module_data_and_exports(result: Result) -> None:
+def test_the_command_tells_the_progress_stores_module_data_and_exports(result: Inspection) -> None:
     cells = "cells     cracks suspected in 1 of 6 cells, 5 clean\n"
-    assert called(result.folder) == f"{cells}review    0 of 6 cells judged\n"
-    assert not (result.folder / "review.sqlite").exists()
-    with ReviewStore(result.folder) as store:
+    assert called(result.source) == f"{cells}review    0 of 6 cells judged\n"
+    assert not (result.source / "review.sqlite").exists()
+    with ReviewStore(result.source) as store:
         for verdict in given(result):
             store.give(verdict)
-    stdout = called(result.folder, "--export", "--serial", "SN 7", "--current", 8.5)
+    stdout = called(result.source, "--export", "--serial", "SN 7", "--current", 8.5)
     assert "3 of 6 cells judged" in stdout
     assert "Ann: 2 of 6 cells judged; 1 ok, 1 crack B" in stdout
     assert "the raters disagree on 1 cell" in stdout
-    assert called(result.folder, "--temperature", 20, "--quiet") == ""
-    with ReviewStore(result.folder) as store:
+    assert called(result.source, "--temperature", 20, "--quiet") == ""
+    with ReviewStore(result.source) as store:
         assert store.module_data() == ModuleData("SN 7", 8.5, None, 20)
-    assert "SN 7" in (result.folder / "review.html").read_text(encoding="utf-8")
+    assert "SN 7" in (result.source / "review.html").read_text(encoding="utf-8")
 
 
 def test_the_command_refuses_what_is_no_result_in_one_sentence(tmp_path: Path) -> None:
@@ -188,12 +191,12 @@ def test_the_command_refuses_what_is_no_result_in_one_sentence(tmp_path: Path) -
     assert len(found.stderr.splitlines()) == 1
 
 
-def test_the_technical_report_points_to_the_one_with_verdicts(result: Result) -> None:
-    technical = result.folder / "report.html"
+def test_the_technical_report_points_to_the_one_with_verdicts(result: Inspection) -> None:
+    technical = result.source / "report.html"
     before = technical.read_text()
     assert '<a href="review.html">' in before
     assert "by Ada" not in before
-    with ReviewStore(result.folder) as store:
+    with ReviewStore(result.source) as store:
         store.give(Verdict(0, 0, VerdictKind.OK, "Ada <b>"))
         export_review(result, store)
         store.give(Verdict(0, 1, VerdictKind.OK, "Ada <b>"))
@@ -202,7 +205,7 @@ def test_the_technical_report_points_to_the_one_with_verdicts(result: Result) ->
     assert after.count("cells judged by Ada &lt;b&gt;.") == 1
     assert "2 of " in after
     assert len(after) == pytest.approx(len(before), abs=150), "nothing else has changed"
-    assert '<a href="report.html">' in (result.folder / "review.html").read_text()
+    assert '<a href="report.html">' in (result.source / "review.html").read_text()
 
 
 def test_a_report_without_a_place_for_the_review_stays_as_it_is() -> None:
@@ -210,11 +213,11 @@ def test_a_report_without_a_place_for_the_review_stays_as_it_is() -> None:
 
 
 def test_a_technical_report_that_can_not_be_read_keeps_no_review_from_being_written(
-    result: Result, monkeypatch: pytest.MonkeyPatch
+    result: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(_: Path) -> bytes:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "read_bytes", refuse)
-    with ReviewStore(result.folder) as store:
+    with ReviewStore(result.source) as store:
         assert all(path.is_file() for path in export_review(result, store))

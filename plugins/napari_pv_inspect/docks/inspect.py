@@ -42,7 +42,6 @@ from napari_pv_inspect.widgets.style import ThemedStyle, WheelNeedsFocus, finish
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Stage
 
@@ -178,8 +177,8 @@ class InspectDock(QWidget):
         values = "computed values" if depth is None else f"{depth} bit"
         self._tell(sequence.source.name, facts, f"{sequence.source}: {facts}, {values}")
 
-    def _on_result(self, result: Result) -> None:
-        self._tell(result.folder.name, "a result without its frames", str(result.folder))
+    def _on_result(self, result: Inspection) -> None:
+        self._tell(result.source.name, "a result without its frames", str(result.source))
 
     def _tell(self, name: str, facts: str, tip: str) -> None:
         """Say what is open."""

@@ -30,7 +30,6 @@ from napari_pv_inspect.widgets.style import ThemedStyle
 from napari_pv_inspect.widgets.swipe_view import SwipeView, grey_image
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 
 __all__ = ["LiveDock"]
 
@@ -190,7 +189,7 @@ class LiveDock(QWidget):
     def _on_failure(self, text: str) -> None:
         self.caption.setText(text)
 
-    def _on_inspection(self, _: Inspection | Result | None) -> None:
+    def _on_inspection(self, _: Inspection | None) -> None:
         if self._live.cell is None:
             self._picture = None
             self.view.show_before(None, "")

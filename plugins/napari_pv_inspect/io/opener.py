@@ -19,7 +19,6 @@ from napari_pv_inspect.tasks.guard import attempt
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
-from pv_inspect.results.record import Result
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -38,10 +37,8 @@ class Opened:
     Parameters
     ----------
     sequence : FrameSequence or None
-    inspection : Inspection or None
-        Of a result folder whose frames are still there.
-    result : Result or None
-        Of a result folder.
+    result : Inspection or None
+        Of a result folder; without a sequence if the frames can't be used.
     references : (dark frame, flat frame)
         What the frames were read with.
     trouble : str
@@ -51,8 +48,7 @@ class Opened:
     """
 
     sequence: FrameSequence | None = None
-    inspection: Inspection | None = None
-    result: Result | None = None
+    result: Inspection | None = None
     references: References = (None, None)
     trouble: str = ""
     again: bool = False
@@ -68,15 +64,14 @@ def open_any(path: Any, settings: Settings) -> Opened:
     return Opened(frames, references=references)
 
 
-def open_result(result: Result) -> Opened:
+def open_result(result: Inspection) -> Opened:
     """Take a result up again, with its frames if they are still there."""
     references = (result.settings.dark_frame, result.settings.flat_frame)
     try:
-        sequence = reopen(result)
-        inspection = resume(result, sequence)
+        whole = resume(result, reopen(result))
     except InspectionError as error:
         return Opened(result=result, trouble=str(error))
-    return Opened(sequence, inspection, result, references)
+    return Opened(whole.sequence, whole, references)
 
 
 def open_again(sequence: FrameSequence, settings: Settings) -> Opened:
@@ -125,10 +120,10 @@ class Opener(QObject):
         self._name = name
         self._start(open_any, path, self._model.settings)
 
-    def restore(self, result: Result) -> None:
+    def restore(self, result: Inspection) -> None:
         """Put a result that was read already into the workbench, with its frames if possible."""
         if self.may_leave():
-            self._name = result.folder.name
+            self._name = result.source.name
             self._start(open_result, result)
 
     def close(self, wait_ms: int = 3000) -> None:
@@ -182,8 +177,8 @@ class Opener(QObject):
         model = self._model
         if opened.again and opened.sequence is not None:
             model.reopen(opened.sequence)
-        elif opened.inspection is not None and opened.result is not None:
-            model.restore(opened.inspection, opened.result)
+        elif opened.result is not None and opened.result.sequence is not None:
+            model.restore(opened.result)
         elif opened.result is not None:
             model.open_result(opened.result, opened.trouble)
         elif opened.sequence is not None:

@@ -21,9 +21,10 @@ from napari_pv_inspect.appearance import (
     contrast_limits,
     crack_colormap,
 )
+from pv_inspect.cracks import CrackMap
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.read import read_result
-from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [
@@ -87,10 +88,11 @@ def sequence_layer(sequence: FrameSequence) -> LayerData:
 
 def result_layers(folder: Path) -> list[LayerData]:
     """Return module image, support and cracks of a result folder, the image carrying the result."""
-    result: Result = read_result(folder)
+    result = read_result(folder)
+    made, found = result.need(Reconstruction), result.need(CrackMap)
     image = {
         "name": MODULE,
-        "contrast_limits": contrast_limits(result.image),
+        "contrast_limits": contrast_limits(made.image),
         "colormap": "gray",
         "metadata": {RESULT_KEY: result, PART_KEY: MODULE},
     }
@@ -117,10 +119,10 @@ def result_layers(folder: Path) -> list[LayerData]:
         "opacity": 0.75,
     }
     return [
-        (result.image, image, "image"),
-        (result.support, support, "image"),
-        (result.consistency, consistency, "image"),
-        (result.cracks, cracks, "image"),
+        (made.image, image, "image"),
+        (made.support, support, "image"),
+        (made.consistency, consistency, "image"),
+        (found.probability, cracks, "image"),
     ]
 
 

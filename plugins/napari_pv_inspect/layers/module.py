@@ -16,7 +16,6 @@ from napari_pv_inspect.layers.slot import LayerSlot
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
@@ -77,7 +76,7 @@ class ModuleLayers:
         }
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
-        model.result_opened.connect(self._on_result)
+        model.result_opened.connect(self._on_inspection)
         model.settings_changed.connect(self._on_settings)
 
     def preview(self, image: NDArray[np.float32]) -> None:
@@ -143,10 +142,7 @@ class ModuleLayers:
         if all(slot.layer is not None for slot in self._slots.values()):
             return
         self._shown = self.cracks = None
-        if self._model.shown is not None:
-            self._on_inspection(self._model.shown)
-        elif self._model.result is not None:
-            self._on_result(self._model.result)
+        self._on_inspection(self._model.shown or self._model.result)
 
     @property
     def has_cracks(self) -> bool:
@@ -168,15 +164,6 @@ class ModuleLayers:
         if slot is not None and slot.layer is not layer:
             slot.drop()
             slot.adopt(layer)
-
-    def _on_result(self, result: Result) -> None:
-        self._put_image(result.image, result.grid)
-        assert self.placement is not None
-        place = {"scale": self.placement.scale, "translate": self.placement.translate}
-        self._support.put(result.support, **place)
-        self._consistency.put(result.consistency, **place)
-        self.put_cracks(result.cracks)
-        self._know_cracks(result.cracks)
 
     def _know_cracks(self, cracks: NDArray[np.float32] | None) -> None:
         self.cracks = cracks

@@ -95,7 +95,7 @@ class CellRenderer:
         registration, whole = inspection.registration, inspection.reconstruction
         assert registration is not None
         if self._base is None or not same_basis(self._known, basis_of(inspection)):
-            self._base = Preview(inspection.sequence, registration, whole)
+            self._base = Preview(inspection.frames, registration, whole)
             self._known = basis_of(inspection)
             self._moved_for, self._preview = (), self._base
         wanted = (settings.kappa, settings.skip_frames)
@@ -120,7 +120,7 @@ def registration_for(inspection: Inspection, settings: Settings) -> Registration
     """
     registration = inspection.registration
     assert registration is not None
-    out = inspection.sequence.indices(settings.skip_frames)
+    out = inspection.frames.indices(settings.skip_frames)
     if out and registration.used[out].any():
         used = registration.used.copy()
         used[out] = False
@@ -156,13 +156,13 @@ def bicubic_cell(inspection: Inspection, cell: Cell, magnification: float) -> Ce
     assert registration is not None
     made = inspection.reconstruction
     motion = None if made is None else made.motion
-    frame = best_frame(registration, inspection.sequence.shape, cell, motion)
+    frame = best_frame(registration, inspection.frames.shape, cell, motion)
     if frame is None:
         raise InspectionError("No frame in use shows this cell as a whole: choose another cell.")
     whole = HrGrid.covering(inspection.layout, registration.lr_px_per_unit, magnification)
     grid = whole.window(*whole.cell_slices(*cell))
-    image = bicubic(inspection.sequence, registration, grid, frame)
-    return CellPicture(image, cell, inspection.sequence.names[frame])
+    image = bicubic(inspection.frames, registration, grid, frame)
+    return CellPicture(image, cell, inspection.frames.names[frame])
 
 
 def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | None:

@@ -195,7 +195,7 @@ class LiveKappa:
         try:
             if crossings is None:
                 raise InspectionError("There are no crossing points to fit: detect the grid.")
-            fitted = fit_frame_grid(crossings, fit, frame, inspection.sequence.shape, settings)
+            fitted = fit_frame_grid(crossings, fit, frame, inspection.frames.shape, settings)
         except InspectionError as problem:
             self._geometry.show_fitted()
             self.residual_changed.emit(str(problem))

@@ -54,7 +54,7 @@ class Recalibration:
             self._newest.drop()
         elif inspection is not self._for:
             self._for = inspection
-            shape, settings = inspection.sequence.shape, inspection.settings
+            shape, settings = inspection.frames.shape, inspection.settings
             self._newest.ask(partial(calibrate, crossings, shape, settings))
 
     def _on_fit(self, answer: Calibration | InspectionError) -> None:

@@ -49,15 +49,15 @@ def frame_panels(inspection: Inspection, cell: Cell) -> FramePanels:
     registration, made = inspection.registration, inspection.reconstruction
     if registration is None or made is None:
         raise InspectionError("There is no module image yet.")
-    frame = best_frame(registration, inspection.sequence.shape, cell, made.motion)
+    frame = best_frame(registration, inspection.frames.shape, cell, made.motion)
     if frame is None:
         raise InspectionError("No frame in use shows the whole cell.")
     window = made.grid.window(*made.grid.cell_slices(*cell))
     return FramePanels(
         frame,
-        inspection.sequence.names[frame],
-        nearest(inspection.sequence, registration, window, frame),
-        bicubic(inspection.sequence, registration, window, frame),
+        inspection.frames.names[frame],
+        nearest(inspection.frames, registration, window, frame),
+        bicubic(inspection.frames, registration, window, frame),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.settings import Stage
 
 __all__ = ["Facts", "capitalised", "facts_of"]
@@ -43,8 +43,8 @@ def facts_of(model: WorkbenchModel) -> Facts:
         return Facts(numbers=model.why_hidden)
     if model.inspection is not None:
         return _of_inspection(model.inspection, _is_earlier(model))
-    if model.result is not None and model.sequence is None:
-        return _of_result(model.result)
+    if model.result is not None:
+        return _of_inspection(model.result, is_earlier=False)
     return Facts()
 
 
@@ -64,9 +64,7 @@ def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
     if made is not None:
         numbers += f", {made.grid.magnification:.2f}x"
         numbers = f"Earlier result: {numbers}" if is_earlier else numbers
-        details = _details(
-            made.image.shape, made.grid.magnification, made.prior_weight, made.psf_sigma_lr_px
-        )
+        details = _details(made)
     return Facts(
         inspection.doubts,
         "" if cracks is None else cracks.counts.text,
@@ -76,26 +74,11 @@ def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
     )
 
 
-def _of_result(result: Result) -> Facts:
-    used = sum(frame.used for frame in result.frames)
-    grid = result.grid
-    return Facts(
-        result.doubts,
-        result.crack_map.counts.text,
-        f"{used} of {len(result.frames)} frames, kappa {result.camera.kappa:+.4f}, "
-        f"{grid.magnification:.2f}x",
-        _without_frames(result.warnings),
-        _details(grid.shape, grid.magnification, result.prior_weight, result.psf_sigma_lr_px),
-    )
-
-
-def _details(
-    shape: tuple[int, ...], magnification: float, prior_weight: float, psf_sigma: float
-) -> str:
-    height, width = shape
+def _details(made: Reconstruction) -> str:
+    height, width = made.image.shape
     return (
-        f"Module image {width} x {height} px, {magnification:.2f} px per LR px, "
-        f"lambda {prior_weight:.3g}, PSF sigma {psf_sigma:.2f} LR px."
+        f"Module image {width} x {height} px, {made.grid.magnification:.2f} px per LR px, "
+        f"lambda {made.prior_weight:.3g}, PSF sigma {made.psf_sigma_lr_px:.2f} LR px."
     )
 
 

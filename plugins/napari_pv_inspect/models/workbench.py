@@ -16,7 +16,6 @@ from pv_inspect.detection.layout_guess import LayoutGuess
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection, Step
-from pv_inspect.results.record import Result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
 
@@ -50,10 +49,10 @@ class WorkbenchModel:
     sequence : FrameSequence or None
     settings : Settings
         What the controls say; the next run uses it.
-    result : Result or None
-        A result folder that is looked at; nothing of it is computed again.
+    result : Inspection or None
+        A result folder that is looked at without its frames: nothing of it is computed again.
     frames_gone : str
-        One sentence while the frames of that result can't be used: why; "" else.
+        One sentence while there is such a result: why its frames can't be used; "" else.
     run_settings : Settings
         What the current run was started with.
     run_until : Stage or None
@@ -91,7 +90,7 @@ class WorkbenchModel:
         self.draft: Inspection | None = None
         self.guess: LayoutGuess | None = None
         self.guessing = False
-        self.result: Result | None = None
+        self.result: Inspection | None = None
         self.frames_gone = ""
         self.run_state = RunState.IDLE
         self.run_until: Stage | None = None
@@ -116,9 +115,8 @@ class WorkbenchModel:
         """Why what is shown must not be relied on; empty while a run works on something new."""
         if self.run_state is not RunState.IDLE:
             return ()
-        if self.inspection is not None:
-            return self.inspection.doubts
-        return self.result.doubts if self.result is not None and self.sequence is None else ()
+        known = self.inspection or self.result
+        return () if known is None else known.doubts
 
     @property
     def why_hidden(self) -> str:
@@ -155,11 +153,10 @@ class WorkbenchModel:
         self.guess = guess
         self.settings_changed.emit(self.settings)
 
-    def restore(self, inspection: Inspection, result: Result) -> None:
-        """Open an inspection out of a result folder, with its settings."""
+    def restore(self, inspection: Inspection) -> None:
+        """Open an inspection out of a result folder, with its frames and settings."""
         settings = _with_layout(inspection.settings, inspection.layout)
-        self._put(inspection.sequence, settings)
-        self.result = result
+        self._put(inspection.frames, settings)
         self.inspection = replace(inspection, settings=settings)
         self.inspection_changed.emit(self.inspection)
 
@@ -224,16 +221,17 @@ class WorkbenchModel:
             self.selected_cell = cell
             self.cell_selected.emit(cell)
 
-    def open_result(self, result: Result, why: str = FRAMES_GONE) -> None:
+    def open_result(self, result: Inspection, why: str = FRAMES_GONE) -> None:
         """Show a result folder without its frames; its settings go into the controls.
 
         Parameters
         ----------
-        result : Result
+        result : Inspection
+            Without a sequence.
         why : str
             One sentence: why the frames can't be used.
         """
-        self._put(None, _with_layout(result.settings, result.grid.layout))
+        self._put(None, _with_layout(result.settings, result.layout))
         self.result, self.frames_gone = result, why
         self.result_opened.emit(result)
 
@@ -302,7 +300,7 @@ class WorkbenchModel:
         if isinstance(step.partial, np.ndarray):
             self.preview_changed.emit(step.partial)
             return
-        layout = self.draft.sequence.layout(self.run_settings)
+        layout = self.draft.frames.layout(self.run_settings)
         grown = self.draft.with_part(step.partial)
         self.draft = replace(grown, settings=self.run_settings, layout=layout)
         self.inspection_changed.emit(self.draft)

@@ -182,7 +182,7 @@ _DOUBTED = tuple(stage.value for stage in (Stage.RECONSTRUCT, Stage.CELLS, Stage
 
 
 def _only_looked_at(model: WorkbenchModel) -> bool:
-    return model.sequence is None and model.result is not None
+    return model.result is not None
 
 
 def _has(inspection: Inspection | None, stage: Stage) -> bool:

@@ -13,7 +13,6 @@ from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 from pv_inspect.review import Cell, VerdictKind
 from pv_inspect.settings import Settings
 
@@ -60,7 +59,7 @@ class Reviewer(QObject):
         self._remembering.timeout.connect(self._remember)
         self._signals = (
             (model.inspection_changed, self._on_inspection),
-            (model.result_opened, self._on_result),
+            (model.result_opened, self._on_inspection),
             (model.run_changed, self._on_run),
             (model.settings_changed, self._on_settings),
             (model.cell_selected, self._on_cell),
@@ -166,7 +165,7 @@ class Reviewer(QObject):
         return answer == buttons.Retry
 
     def _on_inspection(self, _: Inspection | None) -> None:
-        shown = self._model.shown
+        shown = self._model.shown or self._model.result
         if self._model.why_hidden:
             if self.state.reviewed is not None:
                 self.state.empty(self._model.why_hidden)
@@ -175,13 +174,8 @@ class Reviewer(QObject):
         if shown is not None and subject is None:
             self._empty(shown)
             return
-        result = self._model.result
-        if subject is None and result is not None:
-            return
-        cracks = None if subject is None else subject.cracks
-        # An inspection that came out of a result folder has its arrays.
-        restored = cracks and result and cracks.probability is result.cracks
-        self._show(subject, result.folder.resolve() if result and restored else None)
+        stored = None if shown is None else shown.stored
+        self._show(subject, None if stored is None else stored.folder.resolve())
 
     def _empty(self, shown: Inspection) -> None:
         """Show no cells of an earlier grid."""
@@ -193,9 +187,6 @@ class Reviewer(QObject):
         elif self._model.run_state is RunState.IDLE:
             self.state.empty(OTHER_GRID)
         # else the old cells stay while a run works on new ones
-
-    def _on_result(self, result: Result) -> None:
-        self._show(Subject.of_result(result), result.folder.resolve())
 
     def _show(self, subject: Subject | None, folder: Path | None) -> None:
         state = self.state

@@ -17,7 +17,6 @@ from pv_inspect.cracks import (
 )
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.results.record import Result
 from pv_inspect.review import Cell, Measure, measured
 from pv_inspect.settings import Settings
 
@@ -53,12 +52,8 @@ class Subject:
         tiles = inspection.tiles
         if tiles is None or tiles.grid.layout != inspection.layout:
             return None
-        return cls(tiles, inspection.cracks, inspection.settings, inspection)
-
-    @classmethod
-    def of_result(cls, result: Result) -> Subject:
-        """Take the cells of a result folder."""
-        return cls(*result_cells(result), result.settings)
+        frames = inspection if inspection.sequence is not None else None
+        return cls(tiles, inspection.cracks, inspection.settings, frames)
 
     @property
     def places(self) -> list[Cell]:
@@ -117,14 +112,3 @@ class Subject:
             self.settings.cell_width_mm,
             detector_of(self.settings),
         )
-
-
-def result_cells(result: Result) -> tuple[CellTiles, CrackMap]:
-    """Return cell tiles and crack map of a result folder, for the gallery."""
-    grid, layout = result.grid, result.grid.layout
-
-    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
-        rows, cols = range(layout.rows), range(layout.cols)
-        return np.array([[whole[grid.cell_slices(i, j)] for j in cols] for i in rows], np.float32)
-
-    return CellTiles(cut(result.image), grid, cut(result.support)), result.crack_map

@@ -11,7 +11,7 @@ from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.record import Result
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.trials import KeptTrial, read_trials, write_trials
 
 __all__ = ["TrialStore"]
@@ -59,17 +59,18 @@ class TrialStore(QObject):
         self.folder, self._kept, self._complained = folder, (), False
         self._on_trials()
 
-    def resume(self, result: Result) -> None:
+    def resume(self, result: Inspection) -> None:
         """Bring the trials of a result back; what is wrong with them becomes a notice."""
-        self.folder, self._complained = result.folder, False
+        assert result.stored is not None
+        self.folder, self._complained = result.stored.folder, False
         try:
-            kept = read_trials(result.folder)
+            kept = read_trials(self.folder)
         except InspectionError as error:
             self._model.notice(str(error), is_error=True)
             self._thread.submit(self._set_base, ())
             return
         self._thread.submit(self._set_base, kept)
-        layout = result.grid.layout
+        layout = result.layout
         self._kept = tuple(
             Trial(
                 trial.number,

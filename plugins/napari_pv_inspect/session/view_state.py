@@ -11,7 +11,7 @@ from qtpy.QtCore import QObject, QTimer
 from napari_pv_inspect.layers.frames import FramesLayer
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.errors import InspectionError
-from pv_inspect.results.record import Result
+from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.session import Session, read_session, write_session
 
 __all__ = ["SessionStore"]
@@ -56,15 +56,17 @@ class SessionStore(QObject):
         self.folder = folder
         self._later()
 
-    def resume(self, result: Result) -> None:
+    def resume(self, result: Inspection) -> None:
         """Show what was looked at when this result was last open."""
+        assert result.stored is not None
+        folder = result.stored.folder
         try:
-            session = read_session(result.folder)
+            session = read_session(folder)
         except InspectionError as error:
             session = Session()
             self._model.notice(str(error), is_error=True)
-        self.folder = result.folder
-        layout = result.grid.layout
+        self.folder = folder
+        layout = result.layout
         if session.cell is not None:
             row, col = session.cell
             if 0 <= row < layout.rows and 0 <= col < layout.cols:

@@ -109,7 +109,7 @@ class LensBox(QGroupBox):
         if geometry is None:
             return
         try:
-            write_camera(path, geometry.camera, inspection.sequence.shape)
+            write_camera(path, geometry.camera, inspection.frames.shape)
         except InspectionError as error:
             self._model.notice(str(error), is_error=True)
         else:
