@@ -26,8 +26,7 @@ from pv_inspect.observation.motion_blur import STILL, motion_of
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.photometry.photometry import huber_weights, observed
 from pv_inspect.reconstruction.held_out import View, seen_part
-from pv_inspect.reconstruction.prior_weight import typical_prior_weight
-from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX
+from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.reconstruction import Reconstruction, brightness_of
 from pv_inspect.reconstruction.solver import Problem, minimise
 from pv_inspect.registration.module_mean import module_mean
@@ -226,7 +225,8 @@ class Preview:
         if seen != self._seen:
             self._views = self._cut(grid, region, still=settings.motion_blur == "none")
             self._seen, self._built_for = seen, None
-        sigma, weight = self._open_values(settings)
+        used = values_in_use(settings, self._registration, self._whole)
+        sigma, weight = used.psf_sigma_lr_px, used.prior_weight
         if self._equations is None or self._built_for != (grid, sigma):
             self._equations = self._built(grid, sigma)
             self._built_for = (grid, sigma)
@@ -244,16 +244,6 @@ class Preview:
             image = np.asarray(state.image, np.float32)
             self._image, self._image_grid = image, grid
             yield RegionImage(image, grid, cell, weight, sigma, state.iterations, finished)
-
-    def _open_values(self, settings: Settings) -> tuple[float, float]:
-        """PSF sigma and lambda: the user's, else those of the whole module, else typical ones."""
-        sigma, weight = settings.psf_sigma_lr_px, settings.prior_weight
-        whole = self._whole
-        if sigma is None:
-            sigma = TYPICAL_SIGMA_LR_PX if whole is None else whole.psf_sigma_lr_px
-        if weight is None:
-            weight = typical_prior_weight(settings.prior) if whole is None else whole.prior_weight
-        return sigma, weight
 
     def _window(self, region: Region, magnification: float) -> tuple[HrGrid, tuple[slice, slice]]:
         """Grid of a region with its margin, and the region within it."""

@@ -20,12 +20,14 @@ from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
-__all__ = ["estimate_psf_sigma", "window_of"]
+__all__ = ["TYPICAL_SIGMA_LR_PX", "estimate_psf_sigma", "window_of"]
 
 Image = NDArray[np.float32]
 
-# Mean and spread of the optical sigma of lenses that are in focus, LR px.
-_EXPECTED = (0.45, 0.12)
+TYPICAL_SIGMA_LR_PX = 0.45
+"""Optical sigma of lenses that are in focus, LR px; the first draft of the module assumes it."""
+# Mean and spread that are expected of it.
+_EXPECTED = (TYPICAL_SIGMA_LR_PX, 0.12)
 # Where the search begins, its steps and its limits, LR px.
 _FIRST_SIGMA, _STEP, _RANGE = 0.49, 0.06, (0.13, 1.5)
 # Weight of the prior that the search begins with, and its limits.

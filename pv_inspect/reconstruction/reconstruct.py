@@ -23,15 +23,19 @@ from pv_inspect.photometry.photometry import (
 )
 from pv_inspect.reconstruction.accumulation import Accumulation
 from pv_inspect.reconstruction.held_out import View, cut_view
+from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.motion_estimation import estimate_motion
 from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.prior_weight import (
     Trial,
     choose_prior_weight,
-    typical_prior_weight,
     windows_of,
 )
-from pv_inspect.reconstruction.psf_estimation import estimate_psf_sigma, window_of
+from pv_inspect.reconstruction.psf_estimation import (
+    TYPICAL_SIGMA_LR_PX,
+    estimate_psf_sigma,
+    window_of,
+)
 from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
@@ -45,8 +49,6 @@ __all__ = ["TYPICAL_SIGMA_LR_PX", "Progress", "reconstruct", "solve"]
 Image = NDArray[np.float32]
 
 
-TYPICAL_SIGMA_LR_PX = 0.45
-"""Optical sigma that the first draft at the module assumes."""
 # Frames that the first draft and the PSF are estimated from.
 _PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
@@ -90,7 +92,7 @@ def reconstruct(
     if used.size == 0:
         raise InspectionError(
             f"None of the {len(sequence)} frames could be registered, so there is nothing to "
-            "reconstruct: draft at the reasons given for the frames."
+            "reconstruct: look at the reasons given for the frames."
         )
     grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, settings.magnification)
     rays = SensorRays.of(registration.camera, sequence.shape)
@@ -103,8 +105,8 @@ def reconstruct(
     photometry: Photometry | None = None
     draft: Image | None = None
     if settings.second_pass:
-        known = settings.psf_sigma_lr_px or TYPICAL_SIGMA_LR_PX
-        first = Accumulation.begin(sequence, registration, grid, rays, known, motion)
+        assumed = values_in_use(settings).psf_sigma_lr_px
+        first = Accumulation.begin(sequence, registration, grid, rays, assumed, motion)
         photometry, draft = yield from _draft(first, used, settings)
         del first
         release()
@@ -183,6 +185,7 @@ def solve(
         tuple(length_and_angle(m) for m in data.motion),
         solution.iterations,
         photometry=data.photometry,
+        prior=settings.prior,
     )
 
 
@@ -219,9 +222,7 @@ def _draft(
     yield from _all_added(data, frames, [], 0.05, 0.12)
     _need_pixels(data)
     start = first_guess(data.equations)
-    weight = settings.prior_weight
-    if weight is None:
-        weight = typical_prior_weight(settings.prior)
+    weight = values_in_use(settings).prior_weight
     problem = Problem(data.equations, weight, brightness_of(start, model.grid), settings.prior)
     draft = start
     for step, state in enumerate(minimise(problem, start, _DRAFT_STEPS)):

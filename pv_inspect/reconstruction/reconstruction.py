@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.geometry.grid import HrGrid
-from pv_inspect.photometry.photometry import (
-    Photometry,
-)
+from pv_inspect.photometry.photometry import Photometry
+from pv_inspect.reconstruction.prior import PriorName
 
 __all__ = ["NO_CURVE", "Curve", "Reconstruction", "brightness_of"]
 
@@ -61,6 +60,8 @@ class Reconstruction:
         empty if the user gave lambda.
     photometry : Photometry, optional
         The sensor's part in the intensities, if it was looked for.
+    prior : {"sparse_curvature", "btv", "tikhonov"}
+        What ``prior_weight`` is the weight of.
     """
 
     image: Image
@@ -76,6 +77,7 @@ class Reconstruction:
     iterations: int
     lambda_curve: Curve = ()
     photometry: Photometry | None = None
+    prior: PriorName = "sparse_curvature"
 
 
 def brightness_of(image: Image, grid: HrGrid) -> float:

@@ -18,6 +18,7 @@ from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
@@ -201,6 +202,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     """Every setting with the value that was used; what the user left open was found otherwise."""
     registration, reconstruction = inspection.need(Registration), inspection.need(Reconstruction)
     layout, camera = inspection.layout, registration.camera
+    used = values_in_use(inspection.settings, registration, reconstruction)
     hint = inspection.frames.layout_hint
     source = {
         name: "guessed from the frames"
@@ -214,9 +216,10 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "cell_aspect": f"{layout.cell_aspect:g}, {source['cell_aspect']}",
         "dark_frame": "none",
         "flat_frame": "none",
-        "kappa": f"{camera.kappa:+.4f}, fitted",
+        "kappa": f"{used.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",
-        "psf_sigma_lr_px": f"{reconstruction.psf_sigma_lr_px:.2f}, estimated",
+        "psf_sigma_lr_px": f"{used.psf_sigma_lr_px:.2f}, estimated",
+        "prior_weight": f"{used.prior_weight:.3g}, chosen",
     }
     rows = []
     for name, about in Settings.model_fields.items():

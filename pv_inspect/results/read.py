@@ -96,6 +96,7 @@ def _read_result(folder: Path) -> Inspection:
         tuple(frame.motion_px_deg or (0.0, 0.0) for frame in record.frames),
         record.solver.iterations,
         tuple((_known(weight), _known(error)) for weight, error in record.lambda_curve),
+        prior=settings.prior,
     )
     probability = _read_image(folder / "cracks.tif", grid.shape)
     with _damaged(folder / "cells.csv"):

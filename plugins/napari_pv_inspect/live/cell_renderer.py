@@ -10,8 +10,8 @@ from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.preview import Preview, Region, with_kappa
-from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.single_frame import best_frame, bicubic
 from pv_inspect.registration.registration import Registration
 from pv_inspect.settings import Settings
@@ -72,10 +72,8 @@ class CellRenderer:
         begun = shown_at = perf_counter()
         preview = self._preview_for(inspection, settings)
         yield None
-        weight = lambda_in_use(inspection, settings)
-        used = settings if weight is None else settings.changed(prior_weight=weight)
         first = True
-        for state in preview.refine(Region(*cell), used):
+        for state in preview.refine(Region(*cell), settings):
             now = perf_counter()
             steps = HURRIED_STEPS if first and hurry() else FIRST_STEPS
             due = state.iterations >= steps if first else now - shown_at > BETWEEN
@@ -169,11 +167,8 @@ def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | 
     """Return the user's lambda, or the one that stands for the automatic one until the next run."""
     if settings.prior_weight is not None or inspection is None:
         return settings.prior_weight
-    made = inspection.reconstruction
-    # What was found for one prior means nothing to another.
-    if made is None or settings.prior != inspection.settings.prior:
-        return typical_prior_weight(settings.prior)
-    return made.prior_weight
+    known = inspection.registration, inspection.reconstruction
+    return values_in_use(settings, *known).prior_weight
 
 
 def basis_of(inspection: Inspection | None) -> tuple[object, ...]:
