@@ -1,4 +1,10 @@
-"""A calibration once more for one frame, or for other values of kappa."""
+"""A calibration once more for one frame, or for other values of kappa.
+
+Two questions, two answers on purpose: `residual_over_kappa` goes from one kappa to the next over
+the same inliers, which compares; `refit_frame` starts from the points alone, as they may have been
+edited. Both fit measured points. Where the frames are registered already, nothing is measured
+again: there `pv_inspect.geometry.pose.Pose.under` gives the poses under another camera.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +37,9 @@ __all__ = ["refit_frame", "residual_over_kappa"]
 Array = NDArray[np.float64]
 
 
-def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calibration:
+def refit_frame(
+    calibration: Calibration, crossings: Crossings, i: int, kappa: float | None = None
+) -> Calibration:
     """Fit the pose of one frame to its crossing points, under the camera that is known.
 
     Parameters
@@ -41,19 +49,24 @@ def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calib
     crossings : Crossings
         Those of frame i may have changed since.
     i : int
+    kappa : float, optional
+        Held instead of that of the calibration.
 
     Returns
     -------
     Calibration
         With frame i not used, and the reason, if its points do not determine a pose.
     """
+    camera = calibration.camera
+    if kappa is not None:
+        camera = Camera(camera.K, kappa)
     to_unit, frames = unit_transform(crossings.layout), FrameReasons(1)
     alone = replace(crossings, frames=(crossings.frames[i],))
     homography, rms = np.full((3, 3), np.nan), np.nan
     with suppress(InspectionError):
         views = views_of(alone, to_unit, frames)
-        starts = starting_homographies(views, Camera(calibration.camera.K, 0.0), frames)
-        bundle = bundle_of(calibration.camera, views, 0.0, calibration.camera.kappa)
+        starts = starting_homographies(views, Camera(camera.K, 0.0), frames)
+        bundle = bundle_of(camera, views, 0.0, camera.kappa)
         cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
         fit = fit_without_outlier_frames(bundle, starts, cell, frames)
         homography, rms = fit.homographies[0] @ to_unit, fit.rms_px(0)
@@ -62,6 +75,7 @@ def refit_frame(calibration: Calibration, crossings: Crossings, i: int) -> Calib
     homographies[i], rms_px[i], used[i] = homography, rms, not frames.why[0]
     return replace(
         calibration,
+        camera=camera,
         homographies=homographies,
         used=used,
         why=(*calibration.why[:i], frames.why[0], *calibration.why[i + 1 :]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,6 +49,35 @@ class Pose:
         turn = np.linalg.matrix_power(np.array([[0.0, -1, 1], [1, 0, 0], [0, 0, 1]]), quarter_turns)
         scale, new_scale = np.diag([*size, 1.0]), np.diag([*new_size, 1.0])
         return Pose(self.camera, self.homography @ scale @ turn @ np.linalg.inv(new_scale))
+
+    def under(self, camera: Camera, points: Array, appears: Array | None = None) -> Pose | None:
+        """Return the pose under another camera that leaves points where they are seen.
+
+        Parameters
+        ----------
+        camera : Camera
+            With another kappa, say.
+        points : (n, 2) float64
+            Module points.
+        appears : (n, 2) float64, optional
+            What this pose shows where they belong: module points whose pixels they get; they
+            themselves if not given.
+
+        Returns
+        -------
+        Pose or None
+            Least squares, with the sign of this one; None if the camera sees too few of the
+            points. What no homography takes up is the bend between the two cameras.
+        """
+        rays = camera.undistort(
+            camera.to_normalised(self.project(points if appears is None else appears))
+        )
+        seen = np.isfinite(rays).all(axis=1)
+        found = cv2.findHomography(points[seen], rays[seen], 0)[0] if seen.sum() >= 4 else None
+        if found is None:
+            return None
+        new, scale = np.asarray(found, np.float64), self.homography[2, 2]
+        return Pose(camera, new * np.sign(new[2, 2] * scale) if scale else new)
 
     @property
     def aspect(self) -> float:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.parallel import one_at_a_time
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.observation.model import ObservationModel
@@ -34,7 +33,7 @@ from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
-__all__ = ["Preview", "Region", "RegionImage", "with_kappa"]
+__all__ = ["Preview", "Region", "RegionImage"]
 
 Image = NDArray[np.float32]
 
@@ -51,40 +50,6 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         numba.set_num_threads(threads)
-
-
-def with_kappa(registration: Registration, kappa: float) -> Registration:
-    """Return the registration with another kappa, every crossing point as near as it can be.
-
-    Parameters
-    ----------
-    registration : Registration
-    kappa : float
-
-    Raises
-    ------
-    InspectionError
-        If a camera with that kappa can't see the module where it is.
-
-    Notes
-    -----
-    A homography per frame, least squares between the layout and where the crossing points are
-    now. What no homography can take up is the bend that this kappa is wrong by.
-    """
-    camera = Camera(registration.camera.K, kappa)
-    layout = registration.layout.crossings()
-    homographies = registration.homographies.copy()
-    for i in np.flatnonzero(registration.used):
-        seen = camera.undistort(camera.to_normalised(registration.crossings_px(int(i))))
-        known = np.isfinite(seen).all(axis=1)
-        found = cv2.findHomography(layout[known], seen[known])[0] if known.sum() >= 4 else None
-        if found is None:
-            raise InspectionError(
-                f"With kappa {kappa:.3f} the lens can't show the module where it is: choose a "
-                "kappa nearer to the fitted one."
-            )
-        homographies[i] = found
-    return replace(registration, camera=camera, homographies=homographies)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
+from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 
 __all__ = ["Registration", "mean_scale", "normalised", "unregistered"]
 
@@ -54,6 +56,34 @@ class Registration:
     def crossings_px(self, frame: int) -> Array:
         """Crossing points of the layout in one frame: (n_crossings, 2), LR pixels."""
         return self.camera.project(self.homographies[frame], self.layout.crossings())
+
+    def with_kappa(self, kappa: float) -> Registration:
+        """Return the registration with another kappa, every crossing point as near as it can be.
+
+        Parameters
+        ----------
+        kappa : float
+
+        Raises
+        ------
+        InspectionError
+            If a camera with that kappa can't see the module where it is.
+
+        See Also
+        --------
+        pv_inspect.calibration.refit : What the measured crossing points say of another kappa.
+        """
+        camera, points = Camera(self.camera.K, kappa), self.layout.crossings()
+        homographies = self.homographies.copy()
+        for i in np.flatnonzero(self.used):
+            pose = Pose(self.camera, self.homographies[i]).under(camera, points)
+            if pose is None:
+                raise InspectionError(
+                    f"With kappa {kappa:.3f} the lens can't show the module where it is: choose a "
+                    "kappa nearer to the fitted one."
+                )
+            homographies[i] = pose.homography
+        return replace(self, camera=camera, homographies=homographies)
 
     @property
     def lr_px_per_unit(self) -> float:

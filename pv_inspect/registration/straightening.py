@@ -7,7 +7,6 @@ the cells are straight and evenly spaced: what they show of a bend is taken out.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,8 +88,10 @@ def straighten(
     d_kappa, d_x, d_y = -solution[8:]
     K = camera.K + np.array([[0, 0, d_x], [0, 0, d_y], [0, 0, 0]])
     fitted = Camera(K, camera.kappa + d_kappa)
-    poses = np.array([_carried(camera, fitted, H, ideal, appears) for H in homographies])
-    return (fitted, poses) if np.isfinite(poses).all() else None
+    poses = [Pose(camera, H).under(fitted, ideal, appears) for H in homographies]
+    known = [pose.homography for pose in poses if pose is not None]
+    whole = len(known) == len(poses) and np.isfinite(known).all()
+    return (fitted, np.array(known)) if whole else None
 
 
 def sharpened(image: Image, sigma: float) -> Image:
@@ -162,14 +163,3 @@ def _basis(points: Array, camera: Camera, homographies: Array, edges: CellEdges)
         # The pixel stays, so the point of the module that it shows moves the other way.
         moved -= np.linalg.solve(derivatives.d_module, by_camera)
     return np.concatenate([plane, moved / len(homographies)], axis=-1)
-
-
-def _carried(before: Camera, after: Camera, H: Array, ideal: Array, appears: Array) -> Array:
-    """Pose of one frame under the new camera, from where the crossing points appear in it."""
-    rays = after.undistort(after.to_normalised(before.project(H, appears)))
-    seen = np.isfinite(rays).all(axis=1)
-    found = cv2.findHomography(ideal[seen], rays[seen], 0)[0] if seen.sum() >= 4 else None
-    if found is None:
-        return np.full((3, 3), np.nan)
-    new = np.asarray(found, np.float64)
-    return new * np.sign(new[2, 2] * H[2, 2]) if H[2, 2] else new

@@ -14,7 +14,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.photometry.photometry import observed
 from pv_inspect.reconstruction.held_out import cut_view
-from pv_inspect.reconstruction.preview import Preview, Region, with_kappa
+from pv_inspect.reconstruction.preview import Preview, Region
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
@@ -103,7 +103,7 @@ def test_a_region_sees_in_every_frame_what_is_cut_out_of_the_whole_frame(
     made: tuple[Any, Registration, Reconstruction],
 ) -> None:
     sequence, registration, whole = made
-    view = Preview(sequence, with_kappa(registration, registration.camera.kappa - 0.05), whole)
+    view = Preview(sequence, registration.with_kappa(registration.camera.kappa - 0.05), whole)
     shown = view.show(Region(1, 2), SETTINGS)
     camera = view._registration.camera
     rays = SensorRays.of(camera, sequence.shape)
@@ -190,13 +190,13 @@ def test_motion_that_is_not_wanted_is_left_out(
     assert np.abs(undone.image - still.image).max() > 0.01
 
 
-def test_a_bent_registration_keeps_the_crossing_points_as_far_as_a_homography_can(
+def test_a_registration_with_another_kappa_keeps_the_crossing_points_as_far_as_a_homography_can(
     made: tuple[Any, Registration, Reconstruction],
 ) -> None:
     _, registration, _ = made
-    same = with_kappa(registration, registration.camera.kappa)
+    same = registration.with_kappa(registration.camera.kappa)
     np.testing.assert_allclose(same.crossings_px(0), registration.crossings_px(0), atol=1e-3)
-    other = with_kappa(registration, registration.camera.kappa + 0.05)
+    other = registration.with_kappa(registration.camera.kappa + 0.05)
     assert other.camera.kappa == pytest.approx(registration.camera.kappa + 0.05)
     assert np.abs(other.crossings_px(0) - registration.crossings_px(0)).max() < 1.0
 
@@ -205,7 +205,7 @@ def test_a_kappa_that_can_not_show_the_module_is_one_clear_sentence(
     made: tuple[Any, Registration, Reconstruction],
 ) -> None:
     with pytest.raises(InspectionError, match="choose a kappa nearer to the fitted one"):
-        with_kappa(made[1], -500.0)
+        made[1].with_kappa(-500.0)
 
 
 def test_a_window_of_a_grid_keeps_the_places_of_its_pixels() -> None:

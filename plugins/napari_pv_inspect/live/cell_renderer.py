@@ -11,7 +11,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.in_use import values_in_use
-from pv_inspect.reconstruction.preview import Preview, Region, with_kappa
+from pv_inspect.reconstruction.preview import Preview, Region
 from pv_inspect.reconstruction.single_frame import best_frame, bicubic
 from pv_inspect.registration.registration import Registration
 from pv_inspect.settings import Settings
@@ -127,7 +127,7 @@ def registration_for(inspection: Inspection, settings: Settings) -> Registration
         registration = replace(registration, used=used)
     kappa = settings.kappa
     if kappa is not None and abs(kappa - registration.camera.kappa) > 1e-9:
-        registration = with_kappa(registration, kappa)
+        registration = registration.with_kappa(kappa)
     return registration
 
 

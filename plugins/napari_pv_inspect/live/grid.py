@@ -21,7 +21,6 @@ from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.calibration.refit import refit_frame
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.camera import Camera
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
@@ -75,10 +74,7 @@ def fit_frame_grid(
     if crossings.frames[frame].why:
         raise InspectionError("This frame has no crossing points to fit: go to another one.")
     if settings.focal_length_px is None and settings.calibration_file is None:
-        camera = calibration.camera
-        if settings.kappa is not None:
-            camera = Camera(camera.K, settings.kappa)
-        fit, k = refit_frame(replace(calibration, camera=camera), crossings, frame), frame
+        fit, k = refit_frame(calibration, crossings, frame, settings.kappa), frame
     else:
         alone = replace(crossings, frames=(crossings.frames[frame],))
         fit, k = calibrate(alone, image_shape, settings), 0
