@@ -120,7 +120,7 @@ def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Ge
 
 def kappa(dock: InspectDock, heart: Heartbeat, times: Times) -> None:
     """Drag the slider of kappa from end to end."""
-    slider = dock.lens.kappa.slider
+    slider = dock.lens.form["kappa"].slider
     for place in np.linspace(slider.minimum(), slider.maximum(), 240):
         heart.restart()
         cpu = time.thread_time()

@@ -167,11 +167,11 @@ def measure(dock: InspectDock, inspection: Inspection) -> tuple[list[Latency], H
         )
     ]
     watch.wait_for_end()
-    image, kappa = dock.image, dock.lens.kappa.slider
+    image, kappa = dock.image, dock.lens.form["kappa"].slider
     for name, slider, positions in (
-        ("lambda", image.prior_weight.slider, range(250, 370, 4)),
-        ("PSF sigma", image.psf_sigma.slider, range(150, 220, 4)),
-        ("magnification", image.magnification.slider, range(160, 300, 8)),
+        ("lambda", image.form["prior_weight"].slider, range(250, 370, 4)),
+        ("PSF sigma", image.form["psf_sigma_lr_px"].slider, range(150, 220, 4)),
+        ("magnification", image.form["magnification"].slider, range(160, 300, 8)),
         ("kappa", kappa, range(kappa.value() - 12, kappa.value() + 13, 2)),
     ):
         times = []
@@ -217,7 +217,7 @@ def _drag(dock: InspectDock, watch: Watch, positions: range) -> tuple[float, ...
 
     Every position is there once, or the age of a picture would be ambiguous.
     """
-    slider, model = dock.image.prior_weight.slider, dock.workbench.model
+    slider, model = dock.image.form["prior_weight"].slider, dock.workbench.model
     when: dict[float | None, float] = {}
     watch.painted.clear()
     tick = time.perf_counter()

@@ -163,13 +163,13 @@ def edit_a_point(expert: Expert) -> None:
 
 
 def bend_the_grid(expert: Expert) -> None:
-    """Bend the grid with kappa; Fit brings it back."""
+    """Bend the grid with kappa; the mark "fitted" brings it back."""
     lens = expert.dock.lens
     expert.until(lambda: lens.curve.curve is not None, "the curve over kappa")
-    expert.slide(lens.kappa.slider, 0.2)
+    expert.slide(lens.form["kappa"].slider, 0.2)
     assert expert.model.settings.kappa is not None
     expert.photograph("2b-kappa")
-    expert.click(lens.fit)
+    expert.click(lens.form["kappa"].automatic)
     assert expert.model.settings.kappa is None
     expert.photograph("2c-fit")
 
@@ -211,7 +211,7 @@ def tune(expert: Expert) -> None:
     live = expert.viewer.window.dock_widgets["Live cell"]
     shown = expert.workbench.live_cell
     expert.until(lambda: live._picture is not None and live._picture.finished, "the live cell")
-    weight = expert.dock.image.prior_weight
+    weight = expert.dock.image.form["prior_weight"]
     before = live._picture
     expert.slide(weight.slider, 0.15)
     assert expert.model.settings.prior_weight is not None
@@ -226,7 +226,7 @@ def tune(expert: Expert) -> None:
     assert abs(view.divider - 0.65) < 0.05, view.divider
     assert shown.cell is not None
     expert.photograph("3c-tuning")
-    expert.click(expert.dock.image.automatic)
+    expert.click(expert.dock.image.form["prior_weight"].automatic)
     assert expert.model.settings.prior_weight is None
     live.parentWidget().close()
     expert.wait(0.3)

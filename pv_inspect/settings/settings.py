@@ -338,7 +338,15 @@ class Settings(DeclaredModel):
     )
     cell_width_mm: Finite | None = tunable(
         None,
-        Declaration(Stage.CRACKS, Group.MODULE, "width, mm", "mm", decimals=1, automatic="?"),
+        Declaration(
+            Stage.CRACKS,
+            Group.MODULE,
+            "cell width",
+            "mm",
+            decimals=1,
+            automatic="not known",
+            advanced=True,
+        ),
         "Pitch of the cells along a row; crack lengths are then given in mm as well.",
         gt=0,
         le=1000,

@@ -278,10 +278,10 @@ class Monkey:
         image, cells = self.dock.image, self.cells
         slider, top = self._any(
             [
-                (self.dock.lens.kappa.slider, 400),
-                (image.prior_weight.slider, 400),
-                (image.psf_sigma.slider, 400),
-                (image.magnification.slider, 100),  # 2.25x: larger ones take long
+                (self.dock.lens.form["kappa"].slider, 400),
+                (image.form["prior_weight"].slider, 400),
+                (image.form["psf_sigma_lr_px"].slider, 400),
+                (image.form["magnification"].slider, 100),  # 2.25x: larger ones take long
                 (cells.opacity, 100),
                 (cells.threshold, 100),
             ]
@@ -290,7 +290,12 @@ class Monkey:
             slider.setValue(int(self._rng.integers(top + 1)))
             self.wait(0.01)
         if self._rng.random() < 0.4:
-            self._any([self.dock.lens.fit, image.automatic, image.estimated]).click()
+            forms = (
+                self.dock.lens.form["kappa"],
+                image.form["prior_weight"],
+                image.form["psf_sigma_lr_px"],
+            )
+            self._any([one.automatic for one in forms]).click()
 
     def _do_run(self) -> None:
         self.dock.run.run.click()

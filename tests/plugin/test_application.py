@@ -87,11 +87,11 @@ def test_kappa_moves_the_grid_on_the_screen_and_fit_brings_it_back(
     dock.workbench.navigator.to_frames()
     straight = canvas(viewer, qtbot)
     for _ in range(30):
-        qtbot.keyClick(dock.lens.kappa.slider, Qt.Key.Key_Right)
+        qtbot.keyClick(dock.lens.form["kappa"].slider, Qt.Key.Key_Right)
     bent = canvas(viewer, qtbot)
     moved = np.abs(bent - straight).max(axis=-1) > 60
     assert moved.mean() > 0.002
-    qtbot.mouseClick(dock.lens.fit, LEFT)
+    qtbot.mouseClick(dock.lens.form["kappa"].automatic, LEFT)
     again = canvas(viewer, qtbot)
     assert (np.abs(again - straight).max(axis=-1) > 60).mean() < moved.mean() / 10
 
@@ -136,7 +136,7 @@ def test_another_lambda_changes_the_module_on_the_screen(tiny_app: Any, qtbot: Q
     dock.workbench.navigator.to_cell(1, 1)
     viewer.layers["Cracks"].visible = False
     before = canvas(viewer, qtbot)
-    dock.image.prior_weight.number.setValue(10.0)
+    dock.image.form["prior_weight"].number.setValue(10.0)
     qtbot.mouseClick(dock.run.run, LEFT)
     finish(dock, qtbot)
     dock.workbench.navigator.to_cell(1, 1)

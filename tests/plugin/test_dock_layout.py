@@ -180,16 +180,17 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
     image.show_live.setFocus()
     qtbot.waitUntil(image.show_live.hasFocus)
     for widget in (
-        image.magnification.number,
-        image.magnification.slider,
-        image.automatic,
-        image.prior_weight.number,
-        image.prior_weight.slider,
-        image.estimated,
-        image.psf_sigma.number,
-        image.psf_sigma.slider,
-        image.prior,
-        image.motion,
+        image.form["magnification"].number,
+        image.form["magnification"].slider,
+        image.form["prior_weight"].automatic,
+        image.form["prior_weight"].number,
+        image.form["prior_weight"].slider,
+        image.form["psf_sigma_lr_px"].automatic,
+        image.form["psf_sigma_lr_px"].number,
+        image.form["psf_sigma_lr_px"].slider,
+        image.form["prior"],
+        image.form["motion_blur"],
+        image.form.more,
         image.presets,
     ):
         without = widget.grab().toImage()

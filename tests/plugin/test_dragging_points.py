@@ -114,7 +114,7 @@ def test_closing_the_window_while_a_point_is_dragged_works(detected: Any, qtbot:
 
 def test_undo_takes_back_a_slider_that_has_not_settled_and_nothing_else(workbench: Any) -> None:
     _, dock, _ = workbench
-    weight, model = dock.image.prior_weight, dock.workbench.model
+    weight, model = dock.image.form["prior_weight"], dock.workbench.model
     dock.frames.table.tick_wanted.emit(1, False)
     weight.slider.setValue(300)
     assert model.settings.prior_weight is not None
@@ -122,15 +122,15 @@ def test_undo_takes_back_a_slider_that_has_not_settled_and_nothing_else(workbenc
     assert model.settings.prior_weight is None
     assert model.settings.skip_frames == (model.sequence.names[1],)
     dock.workbench.history.redo()
-    assert model.settings.prior_weight == pytest.approx(weight.value, rel=0.01)
+    assert model.settings.prior_weight == pytest.approx(weight.value(), rel=0.01)
 
 
 def test_redo_does_not_bring_back_what_a_slider_has_overtaken(workbench: Any) -> None:
     _, dock, _ = workbench
     model = dock.workbench.model
-    dock.image.prior_weight.slider.setValue(300)
+    dock.image.form["prior_weight"].slider.setValue(300)
     dock.workbench.history.undo()
-    dock.image.magnification.slider.setValue(300)
+    dock.image.form["magnification"].slider.setValue(300)
     dock.workbench.history.redo()
     assert model.settings.prior_weight is None
     assert dock.workbench.history.undo_text == "Change magnification"
@@ -140,9 +140,9 @@ def test_kappa_can_be_taken_back(workbench: Any) -> None:
     _, dock, _ = workbench
     model = dock.workbench.model
     dock.workbench.history.settle()
-    dock.lens.kappa.slider.setValue(100)
+    dock.lens.form["kappa"].slider.setValue(100)
     dock.workbench.history.settle()
-    dock.lens.kappa.slider.setValue(200)
+    dock.lens.form["kappa"].slider.setValue(200)
     dock.workbench.history.undo()
     assert model.settings.kappa == pytest.approx(-0.3, abs=1e-3)
     dock.workbench.history.undo()
@@ -154,8 +154,8 @@ def test_a_run_takes_over_a_slider_and_a_number_that_is_being_typed(
 ) -> None:
     _, dock, _ = workbench
     dock.workbench.history.settle()
-    dock.image.magnification.slider.setValue(200)
-    number = dock.image.prior_weight.number
+    dock.image.form["magnification"].slider.setValue(200)
+    number = dock.image.form["prior_weight"].number
     dock.show_page("Image")
     dock.window().show()
     number.setFocus()
@@ -175,16 +175,16 @@ def test_the_wheel_changes_nothing_without_the_focus(workbench: Any, qtbot: QtBo
     _, dock, _ = workbench
     before = dock.workbench.model.settings
     for field in (
-        dock.lens.kappa.slider,
-        dock.image.magnification.number,
-        dock.image.prior,
-        dock.module.rows,
+        dock.lens.form["kappa"].slider,
+        dock.image.form["magnification"].number,
+        dock.image.form["prior"],
+        dock.module.form["rows"],
     ):
         assert not field.hasFocus()
         turn_wheel(field)
     assert dock.workbench.model.settings == before
     dock.show_page("Image")
-    slider = dock.image.magnification.slider
+    slider = dock.image.form["magnification"].slider
     slider.hasFocus = lambda: True
     turn_wheel(slider)
     assert dock.workbench.model.settings != before

@@ -37,7 +37,7 @@ def test_the_bent_grid_comes_back_alone_after_all_layers_were_deleted(
     dock.module.detect.click()
     qtbot.waitUntil(lambda: dock.workbench.model.run_state is RunState.IDLE)
     viewer.layers.clear()
-    dock.lens.kappa.slider.setValue(150)
+    dock.lens.form["kappa"].slider.setValue(150)
     qtbot.waitUntil(lambda: len(viewer.layers) > 0)
     qtbot.wait(200)
     assert [layer.name for layer in viewer.layers] == ["Fitted grid"]

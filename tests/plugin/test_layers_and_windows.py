@@ -30,8 +30,8 @@ def test_any_layer_may_be_renamed_and_another_run_goes_into_it(
     layers = list(viewer.layers)
     layer = viewer.layers[name]
     layer.name = "mine"
-    dock.lens.kappa.slider.setValue(100)
-    dock.image.prior_weight.number.setValue(2.0)
+    dock.lens.form["kappa"].slider.setValue(100)
+    dock.image.form["prior_weight"].number.setValue(2.0)
     dock.run.run.click()
     idle(dock, qtbot)
     assert layer.name == "mine"

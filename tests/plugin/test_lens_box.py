@@ -40,9 +40,9 @@ def test_the_mark_follows_the_slider_and_fit_brings_it_back(lens: Any) -> None:
     dock, box = lens
     fitted = dock.workbench.model.inspection.registration.camera.kappa
     assert box.curve.kappa == pytest.approx(fitted)
-    box.kappa.number.setValue(0.123)
+    box.form["kappa"].number.setValue(0.123)
     assert box.curve.kappa == pytest.approx(0.123)
-    box.fit.click()
+    box.form["kappa"].automatic.click()
     assert box.curve.kappa == pytest.approx(fitted)
 
 
@@ -58,7 +58,9 @@ def test_kappa_is_the_same_on_the_page_and_in_the_footer(lens: Any, qtbot: QtBot
     whole = refined(dock.workbench.model.inspection)
     dock.workbench.model.inspection = whole
     dock.workbench.model.inspection_changed.emit(whole)
-    assert box.kappa.number.value() == pytest.approx(whole.registration.camera.kappa, abs=1e-4)
+    assert box.form["kappa"].number.value() == pytest.approx(
+        whole.registration.camera.kappa, abs=1e-4
+    )
     kappa = f"kappa {whole.registration.camera.kappa:+.4f}"
     assert kappa in dock.result.summary.text()
     qtbot.waitUntil(lambda: kappa in box.residual.text())
@@ -93,15 +95,17 @@ def test_a_saved_camera_is_loaded_named_and_cleared(lens: Any, tmp_path: Path) -
     model = dock.workbench.model
     path = tmp_path / "lens.yaml"
     box.save_camera(path)
-    box.kappa.number.setValue(0.2)
+    box.form["kappa"].number.setValue(0.2)
     box.load_camera(path)
     assert model.settings.calibration_file == path
     assert model.settings.kappa is None
-    assert "lens.yaml" in box.file.text()
-    assert not box.clear.isHidden()
-    box.clear.click()
+    file = box.form["calibration_file"]
+    assert file.name.text() == "lens.yaml"
+    assert file.clear.isEnabled()
+    file.clear.click()
     assert model.settings.calibration_file is None
-    assert box.file.isHidden()
+    assert file.name.text() == "none"
+    assert not file.clear.isEnabled()
 
 
 def test_a_useless_camera_file_is_one_sentence(lens: Any, tmp_path: Path) -> None:

@@ -107,9 +107,9 @@ def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbo
     dock, shown = live
     roughness = []
     for position in (300, 700):
-        dock.image.prior_weight.slider.setValue(position)
+        dock.image.form["prior_weight"].slider.setValue(position)
         qtbot.waitUntil(lambda: has_ended(shown))
-        assert f"lambda {dock.image.prior_weight.value:.3g}" in shown.caption.text()
+        assert f"lambda {dock.image.form['prior_weight'].value():.3g}" in shown.caption.text()
         roughness.append(float(np.abs(np.diff(shown._picture.image, 2, axis=1)).mean()))
     # A prior a hundred times as strong leaves less curvature.
     assert roughness[1] < 0.9 * roughness[0]
@@ -123,12 +123,12 @@ def test_the_grid_is_redrawn_for_the_lens_only(
     monkeypatch.setattr(
         dock.workbench.geometry, "replace_frame", lambda frame, _: drawn.append(frame)
     )
-    dock.lens.kappa.slider.setValue(dock.lens.kappa.slider.value() + 20)
+    dock.lens.form["kappa"].slider.setValue(dock.lens.form["kappa"].slider.value() + 20)
     qtbot.waitUntil(lambda: bool(drawn))
     qtbot.wait(200)
     drawn.clear()
     for position in (300, 310, 320):
-        dock.image.prior_weight.slider.setValue(position)
+        dock.image.form["prior_weight"].slider.setValue(position)
         qtbot.wait(100)
     assert not drawn
 
@@ -139,14 +139,14 @@ def test_a_settled_slider_is_a_trial_and_undo_takes_it_back(
     dock, shown = live
     settled(qtbot, shown)
     for position in (300, 320, 340):
-        dock.image.prior_weight.slider.setValue(position)
+        dock.image.form["prior_weight"].slider.setValue(position)
     settled(qtbot, shown)
     assert len(dock.workbench.tuning.trials) == 2
     assert shown.trials.trials.rowCount() == 2
     assert shown.trials.view.model().index(1).data().startswith("lambda")
     dock.workbench.history.undo()
     assert dock.workbench.model.settings.prior_weight is None
-    assert dock.image.automatic.isChecked()
+    assert dock.image.form["prior_weight"].automatic.isChecked()
 
 
 @pytest.mark.parametrize("source", [Source.BICUBIC, Source.PREVIOUS, Source.RUN, 1])
@@ -294,7 +294,7 @@ def test_dragging_while_a_run_goes_on_drops_what_is_stale_and_ends_at_the_last_s
 
     monkeypatch.setattr(CellRenderer, "pictures", slow)
     for position in range(200, 350):
-        dock.image.prior_weight.slider.setValue(position)
+        dock.image.form["prior_weight"].slider.setValue(position)
         QApplication.processEvents()
     go_on.set()
     qtbot.waitUntil(lambda: has_ended(shown))
@@ -396,7 +396,7 @@ def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
     qtbot.waitUntil(lambda: has_ended(shown))
     expected = typical_prior_weight("tikhonov")
     assert f"lambda {expected:.3g}" in shown.caption.text()
-    assert dock.image.prior_weight.value == pytest.approx(expected, abs=1e-4)
+    assert dock.image.form["prior_weight"].number.value() == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) -> None:
@@ -464,7 +464,7 @@ def test_a_dock_that_was_closed_comes_back(live: tuple[InspectDock, LiveDock], q
         place = place.parentWidget()
     place.destroyOnClose()
     qtbot.wait(50)
-    dock.image.prior_weight.slider.setValue(200)
+    dock.image.form["prior_weight"].slider.setValue(200)
     again = show_live_cell(dock.workbench, dock)
     assert again is not shown
     dock.workbench.live_cell.set_active(True)

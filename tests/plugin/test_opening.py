@@ -64,7 +64,7 @@ def test_a_result_comes_back_with_its_frames_grid_cells_and_settings(
     assert names(viewer) == {"Frames", "Fitted grid", "Crossing points"} | MODULE_LAYERS
     assert model.inspection.complete
     assert model.settings == tiny_inspection.settings
-    assert dock.image.magnification.value == 2.0
+    assert dock.image.form["magnification"].value() == 2.0
     assert cells.cells.rowCount() == 12
     assert not model.to_do
     assert dock.steps.next.text() == "Review cells"
@@ -117,8 +117,8 @@ def test_without_its_frames_a_result_is_looked_at_and_one_notice_says_so(
     assert "no longer at" in notices[0]
     assert names(viewer) == MODULE_LAYERS
     assert cells.cells.rowCount() == 12
-    assert dock.image.magnification.value == 2.0
-    assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
+    assert dock.image.form["magnification"].value() == 2.0
+    assert (dock.module.form["rows"].value(), dock.module.form["cols"].value()) == (3, 4)
     assert not dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Review cells"
     cells.view.setCurrentIndex(cells.cells.index(0))
@@ -271,7 +271,7 @@ def test_another_dark_frame_reads_the_frames_again_and_a_wrong_one_is_refused(
     assert model.settings.prior_weight == 0.7
     assert (model.settings.rows, model.settings.cols) == (3, 4)
     assert Stage.DETECT in model.to_do
-    assert dock.references.names["dark_frame"].text() == "dark.tif"
+    assert dock.reading.form["dark_frame"].name.text() == "dark.tif"
     model.change_settings(dark_frame=wrong)
     opened(dock, qtbot)
     assert model.settings.dark_frame == dark

@@ -117,7 +117,7 @@ def test_run_is_offered_while_a_run_with_other_settings_goes_on(
     hold(runs, replayed, qtbot)
     assert not dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Cancel the run"
-    dock.image.prior_weight.number.setValue(0.5)
+    dock.image.form["prior_weight"].number.setValue(0.5)
     assert dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Run anew"
     dock.run.run.click()

@@ -121,4 +121,4 @@ def test_another_sequence_begins_a_new_list(tiny_sequence: FrameSequence) -> Non
 def test_what_differs_is_told_in_a_few_words() -> None:
     a = Settings(rows=2, prior_weight=0.5)
     b = Settings(rows=3, prior="btv", kappa=-0.2, skip_frames=("f1", "f2"))
-    assert what_differs(a, b) == "prior btv, lambda automatic, kappa -0.2, frames left out 2"
+    assert what_differs(a, b) == "kappa -0.2, frames left out 2, lambda automatic, prior btv"

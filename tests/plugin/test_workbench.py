@@ -32,7 +32,7 @@ def test_opening_shows_the_frames_and_prefills_the_layout(workbench: Any) -> Non
     viewer, dock, _ = workbench
     assert [layer.name for layer in viewer.layers] == ["Frames"]
     assert viewer.dims.nsteps[0] == 5
-    assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
+    assert (dock.module.form["rows"].value(), dock.module.form["cols"].value()) == (3, 4)
     assert "5 frames" in dock.headline.text()
     assert "frame_" in viewer.canvas.overlays.text.text
 
@@ -42,11 +42,11 @@ def test_an_unknown_layout_is_guessed_and_asks_to_be_confirmed(
 ) -> None:
     _, dock, _ = workbench
     dock.workbench.model.open(replace(tiny_sequence, layout_hint={}))
-    assert dock.module.rows.value() == 0
-    qtbot.waitUntil(lambda: dock.module.rows.value() > 0)
-    assert (dock.module.rows.value(), dock.module.cols.value()) == (3, 4)
+    assert dock.module.form["rows"].value() == 0
+    qtbot.waitUntil(lambda: dock.module.form["rows"].value() > 0)
+    assert (dock.module.form["rows"].value(), dock.module.form["cols"].value()) == (3, 4)
     assert not dock.module.confirm.isHidden()
-    dock.module.cols.setValue(5)
+    dock.module.form["cols"].setValue(5)
     assert dock.module.confirm.isHidden()
 
 
@@ -109,7 +109,7 @@ def test_cancel_brings_the_last_whole_result_back(
     run(dock, qtbot)
     whole = dock.workbench.model.inspection
     replayed.go_on = False
-    dock.image.prior_weight.number.setValue(0.5)
+    dock.image.form["prior_weight"].number.setValue(0.5)
     assert "reconstruct" in dock.run.message.text()
     dock.run.run.click()
     qtbot.waitUntil(lambda: viewer.layers["Module image"].data is not whole.reconstruction.image)
@@ -130,12 +130,12 @@ def test_kappa_bends_the_shown_grid_and_fit_brings_it_back(
     viewer.dims.set_current_step(0, 2)
     grid = viewer.layers["Fitted grid"]
     before = grid.data.copy()
-    dock.lens.kappa.slider.setValue(40)
+    dock.lens.form["kappa"].slider.setValue(40)
     qtbot.waitUntil(lambda: not np.array_equal(grid.data, before))
     others = grid.data[:, 0, 0] != 2
     np.testing.assert_array_equal(grid.data[others], before[before[:, 0, 0] != 2])
     assert "px" in dock.lens.residual.text()
-    dock.lens.fit.click()
+    dock.lens.form["kappa"].automatic.click()
     qtbot.waitUntil(lambda: np.array_equal(grid.data, before))
     assert dock.workbench.model.settings.kappa is None
 
@@ -149,7 +149,7 @@ def test_the_bent_grid_moves_on_with_the_time_slider(
     grid = viewer.layers["Fitted grid"]
     before = grid.data.copy()
     viewer.dims.set_current_step(0, 0)
-    dock.lens.kappa.slider.setValue(40)
+    dock.lens.form["kappa"].slider.setValue(40)
     viewer.dims.set_current_step(0, 4)
     qtbot.waitUntil(
         lambda: not np.array_equal(grid.data[grid.data[:, 0, 0] == 4], before[before[:, 0, 0] == 4])
@@ -166,7 +166,7 @@ def test_any_layer_may_be_deleted_and_another_run_works(
     viewer, dock, cells = workbench
     run(dock, qtbot)
     viewer.layers.remove(name)
-    dock.lens.kappa.slider.setValue(100)
+    dock.lens.form["kappa"].slider.setValue(100)
     cells.view.setCurrentIndex(cells.cells.index(3))
     qtbot.wait(150)
     run(dock, qtbot)
@@ -321,12 +321,12 @@ def test_lambda_is_automatic_until_the_user_moves_it_and_can_be_again(
 ) -> None:
     _, dock, _ = workbench
     model = dock.workbench.model
-    assert dock.image.automatic.isChecked()
-    dock.image.prior_weight.number.setValue(2.0)
-    assert not dock.image.automatic.isChecked()
+    assert dock.image.form["prior_weight"].automatic.isChecked()
+    dock.image.form["prior_weight"].number.setValue(2.0)
+    assert not dock.image.form["prior_weight"].automatic.isChecked()
     assert model.settings.prior_weight == 2.0
-    dock.image.automatic.setChecked(True)
+    dock.image.form["prior_weight"].automatic.setChecked(True)
     assert model.settings.prior_weight is None
     run(dock, qtbot)
     found = replayed.inspection.reconstruction.prior_weight
-    assert dock.image.prior_weight.value == pytest.approx(found, abs=1e-3)
+    assert dock.image.form["prior_weight"].number.value() == pytest.approx(found, abs=1e-3)

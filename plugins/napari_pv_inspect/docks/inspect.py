@@ -21,13 +21,14 @@ from qtpy.QtWidgets import (
 )
 
 from napari_pv_inspect.docks.gallery import CellsDock
+from napari_pv_inspect.docks.pages.cracks import CracksBox
 from napari_pv_inspect.docks.pages.export import ExportBox
+from napari_pv_inspect.docks.pages.form import FormBox
 from napari_pv_inspect.docks.pages.frames import FramesBox
 from napari_pv_inspect.docks.pages.image import ImageBox
 from napari_pv_inspect.docks.pages.lens import LensBox
 from napari_pv_inspect.docks.pages.module import ModuleBox
 from napari_pv_inspect.docks.pages.points import PointsBox
-from napari_pv_inspect.docks.pages.reference_frames import ReferenceBox
 from napari_pv_inspect.docks.pages.result import ResultBox
 from napari_pv_inspect.docks.pages.review import ReviewBox
 from napari_pv_inspect.docks.pages.run import RunBox
@@ -43,7 +44,7 @@ from napari_pv_inspect.workbench import Workbench
 from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.sequence.sequence import FrameSequence
-from pv_inspect.settings import Stage
+from pv_inspect.settings import Group, Stage
 
 __all__ = ["InspectDock"]
 
@@ -76,11 +77,12 @@ class InspectDock(QWidget):
         self.run = RunBox(workbench.model)
         self.steps = StepsBox(workbench.model, self.run.run)
         self.frames = FramesBox(workbench)
-        self.references = ReferenceBox(workbench.model)
+        self.reading = FormBox(workbench.model, Group.FRAMES)
         self.module = ModuleBox(workbench.model)
         self.points = PointsBox(workbench)
         self.lens = LensBox(workbench.model, workbench.live, workbench.kappa_curve)
         self.image = ImageBox(workbench.model, workbench.live_cell)
+        self.cracks = CracksBox(workbench.model)
         self.verdict = ReviewBox(workbench.model, workbench.review, workbench.history)
         self.export = ExportBox(workbench.model, workbench.review.state)
         self.result = ResultBox(workbench.model, workbench.navigator)
@@ -101,7 +103,7 @@ class InspectDock(QWidget):
         layout.addWidget(self.run)
         self.pages = QTabWidget()
         self.add_page(
-            "Frames", "Which frames are used, and how they were read.", self.frames, self.references
+            "Frames", "Which frames are used, and how they were read.", self.frames, self.reading
         )
         self.add_page(
             "Grid",
@@ -110,7 +112,12 @@ class InspectDock(QWidget):
             self.points,
             self.lens,
         )
-        self.add_page("Image", "How the module image is made.", self.image)
+        self.add_page(
+            "Image",
+            "How the module image is made, and cracks found in it.",
+            self.image,
+            self.cracks,
+        )
         self.add_page("Review", "What you say about the cells.", self.verdict, self.export)
         self.show_page("Grid")
         layout.addWidget(self.pages, 1)
@@ -197,7 +204,7 @@ class InspectDock(QWidget):
             self._on_detect()
         elif action is StepAction.GIVE_LAYOUT:
             self.show_page("Grid")
-            self.module.rows.setFocus()
+            self.module.form["rows"].setFocus()
         elif action is StepAction.REVIEW:
             self._review()
 

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import platformdirs
 
-from napari_pv_inspect.models.trials import IMAGE_FIELDS
 from pv_inspect.errors import InspectionError
-from pv_inspect.settings import Settings
+from pv_inspect.settings import Group, Settings
 from pv_inspect.storage.folders import replace_file
 
 __all__ = ["PRESET_FIELDS", "PresetStore", "read_preset", "write_preset"]
 
-PRESET_FIELDS = (*IMAGE_FIELDS, "second_pass", "max_iterations", "detector", "crack_threshold")
+PRESET_FIELDS = (*Settings.names_in(Group.IMAGE), *Settings.names_in(Group.CRACKS))
 """Fields of a preset: nothing about one module, its frames or its camera."""
 
 SUFFIX = ".toml"

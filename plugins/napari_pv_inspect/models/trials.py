@@ -11,27 +11,22 @@ from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.history import Action, History
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from pv_inspect.sequence.sequence import FrameSequence
-from pv_inspect.settings import Settings
+from pv_inspect.settings import Settings, Stage
 
-__all__ = ["IMAGE_FIELDS", "LIVE_FIELDS", "Trial", "Tuning", "what_differs"]
+__all__ = ["LIVE_FIELDS", "Trial", "Tuning", "what_differs"]
 
-IMAGE_FIELDS = ("magnification", "prior", "prior_weight", "psf_sigma_lr_px", "motion_blur")
-"""Settings of the page *Image*."""
-LIVE_FIELDS = (*IMAGE_FIELDS, "kappa", "skip_frames")
+LIVE_FIELDS = tuple(name for name in Settings.model_fields if Settings.declared(name).live)
 """Settings that the live cell follows."""
-UNDONE_FIELDS = (*IMAGE_FIELDS, "kappa", "focal_length_px", "calibration_file")
-"""Settings whose changes are edits that can be taken back, once they have settled."""
-NAMES = {
-    "magnification": "magnification",
-    "prior": "prior",
-    "prior_weight": "lambda",
-    "psf_sigma_lr_px": "PSF sigma",
-    "motion_blur": "motion blur",
-    "kappa": "kappa",
-    "focal_length_px": "focal length",
-    "calibration_file": "camera file",
-    "skip_frames": "frames left out",
-}
+UNDONE_FIELDS = tuple(
+    name
+    for name in Settings.model_fields
+    if Settings.stage_of(name) > Stage.DETECT and not Settings.declared(name).set_by
+)
+"""Settings whose changes are edits that can be taken back, once they have settled.
+
+Those of reading and detection make another inspection; what a list of frames sets has edits of its
+own.
+"""
 DEPTH = 100
 
 
@@ -167,7 +162,9 @@ class Tuning:
         self.changed.emit()
 
     def _perform(self, old: dict[str, Any], new: dict[str, Any], text: str = "") -> None:
-        text = text or "Change " + ", ".join(NAMES[k] for k in new if new[k] != old[k])
+        text = text or "Change " + ", ".join(
+            Settings.declared(k).title for k in new if new[k] != old[k]
+        )
         self._history.perform(Action(text, lambda: self._set(new), lambda: self._set(old)))
 
     def _set(self, values: dict[str, Any]) -> None:
@@ -198,7 +195,7 @@ def what_differs(before: Settings | None, after: Settings) -> str:
     if before is None:
         return "first look"
     changes = [
-        f"{NAMES[name]} {_shown(name, getattr(after, name))}"
+        f"{Settings.declared(name).title} {_shown(name, getattr(after, name))}"
         for name in LIVE_FIELDS
         if getattr(before, name) != getattr(after, name)
     ]
@@ -206,10 +203,10 @@ def what_differs(before: Settings | None, after: Settings) -> str:
 
 
 def _shown(name: str, value: Any) -> str:
-    if name == "skip_frames":
+    if isinstance(value, tuple):
         return str(len(value))
     if value is None:
-        return "fitted" if name == "kappa" else "automatic"
+        return Settings.declared(name).automatic
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 

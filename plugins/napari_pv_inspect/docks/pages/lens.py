@@ -5,27 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import (
-    QFileDialog,
-    QGroupBox,
-    QHBoxLayout,
-    QLabel,
-    QPushButton,
-    QToolButton,
-    QVBoxLayout,
-    QWidget,
-)
+from qtpy.QtWidgets import QFileDialog, QGroupBox, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from napari_pv_inspect.forms.form import SettingsForm
 from napari_pv_inspect.live.grid import LiveKappa
 from napari_pv_inspect.live.kappa_curve import Curve, KappaCurve
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.kappa_plot import CurveView
 from napari_pv_inspect.widgets.listen import listen
-from napari_pv_inspect.widgets.slider import SettingSlider, setting_tooltip
 from pv_inspect.calibration.camera_file import read_camera, write_camera
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.settings import Settings
+from pv_inspect.settings import Group, Settings
 
 __all__ = ["LensBox"]
 
@@ -33,7 +24,7 @@ CAMERA_FILES = "Camera (*.yaml *.yml *.json *.xml);;All files (*)"
 
 
 class LensBox(QGroupBox):
-    """Slider for kappa with the residual, *Fit*, which brings the fit back, and camera files."""
+    """Slider for kappa with the residual and its curve, and camera files."""
 
     def __init__(
         self,
@@ -42,44 +33,25 @@ class LensBox(QGroupBox):
         curve: KappaCurve,
         parent: QWidget | None = None,
     ) -> None:
-        super().__init__("Lens", parent)
+        super().__init__(Group.LENS, parent)
         self._model = model
         self._live = live
-        self.kappa = SettingSlider("kappa", "Kappa", decimals=4)
-        self.fit = QPushButton("Fit")
-        self.fit.setToolTip("Let the fit choose kappa, and show the fitted grid again.")
+        self.form = SettingsForm(
+            model, Group.LENS, self._stand_ins, {"calibration_file": self._on_camera}
+        )
         self.residual = QLabel("kappa is fitted with the grid.")
         self.residual.setWordWrap(True)
         # The curve below must not jump while a line more comes and goes.
         self.residual.setMinimumHeight(2 * self.fontMetrics().lineSpacing() + 4)
         self.residual.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
         self.curve = CurveView()
-        self.load = QPushButton("Load camera...")
-        self.load.setToolTip(setting_tooltip("calibration_file"))
         self.save = QPushButton("Save camera...")
         self.save.setToolTip("Write the fitted K [LR px] and kappa as OpenCV reads them.")
-        self.file = QLabel()
-        self.clear = QToolButton()
-        self.clear.setText("x")
-        self.clear.setToolTip("Forget the camera file: the camera is fitted again.")
-        self.kappa.add_to_header(self.fit)
-        files = QHBoxLayout()
-        files.addWidget(self.load)
-        files.addWidget(self.save)
-        loaded = QHBoxLayout()
-        loaded.addWidget(self.file, 1)
-        loaded.addWidget(self.clear)
         layout = QVBoxLayout(self)
-        layout.addWidget(self.kappa)
-        layout.addWidget(self.residual)
-        layout.addWidget(self.curve)
-        layout.addLayout(files)
-        layout.addLayout(loaded)
-        self.kappa.changed.connect(self._on_slider)
-        self.fit.clicked.connect(self._on_fit)
-        self.load.clicked.connect(self._on_load)
+        self.form.place_below("kappa", self.residual, self.curve)
+        layout.addWidget(self.form)
+        layout.addWidget(self.save)
         self.save.clicked.connect(self._on_save)
-        self.clear.clicked.connect(self._on_clear)
         listen(model.settings_changed, self._on_settings)
         listen(model.inspection_changed, self._on_inspection)
         listen(live.residual_changed, self._on_residual)
@@ -115,40 +87,28 @@ class LensBox(QGroupBox):
         else:
             self._model.notice(f"Camera saved to {path}.")
 
-    def _on_load(self) -> None:
-        name = QFileDialog.getOpenFileName(self, "Camera file", "", CAMERA_FILES)[0]
-        if name:
-            self.load_camera(Path(name))
-
     def _on_save(self) -> None:
         name = QFileDialog.getSaveFileName(self, "Camera file", "camera.yaml", CAMERA_FILES)[0]
         if name:
             self.save_camera(Path(name))
 
-    def _on_clear(self) -> None:
-        self._model.change_settings(calibration_file=None)
+    def _on_camera(self, path: Path | None) -> None:
+        if path is None:
+            self._model.change_settings(calibration_file=None)
+        else:
+            self.load_camera(path)
 
-    def _on_slider(self, value: float) -> None:
-        self._model.change_settings(kappa=value)
-
-    def _on_fit(self) -> None:
-        self._model.change_settings(kappa=None)
+    def _stand_ins(self) -> dict[str, float | None]:
+        return {"kappa": self._live.fitted_kappa or 0.0}
 
     def _on_settings(self, settings: Settings) -> None:
-        fitted = self._live.fitted_kappa
-        self.kappa.show_value(settings.kappa if settings.kappa is not None else fitted or 0.0)
-        self.curve.mark(settings.kappa if settings.kappa is not None else fitted)
-        self.fit.setEnabled(settings.kappa is not None)
-        path = settings.calibration_file
-        self.file.setText("" if path is None else f"Camera of the next run: <b>{path.name}</b>")
-        self.file.setToolTip("" if path is None else str(path))
-        self.file.setVisible(path is not None)
-        self.clear.setVisible(path is not None)
+        self.curve.mark(settings.kappa if settings.kappa is not None else self._live.fitted_kappa)
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
             self.residual.setText("kappa is fitted with the grid.")
         self.save.setEnabled(inspection is not None and inspection.calibration is not None)
+        self.form.refresh()
         self._on_settings(self._model.settings)
 
     def _on_residual(self, text: str) -> None:

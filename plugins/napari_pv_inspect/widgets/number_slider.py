@@ -1,4 +1,4 @@
-"""A slider with its title and number above it, for one setting; linear or logarithmic."""
+"""A slider with its title and number above it; linear or logarithmic, with an automatic mark."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from qtpy.QtCore import QSignalBlocker, Qt, Signal
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
+    QCheckBox,
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
@@ -15,52 +16,54 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
-from pv_inspect.settings import Settings
-
-__all__ = ["SettingSlider", "setting_tooltip"]
+__all__ = ["NumberSlider"]
 
 STEPS = 400
 NUMBER_WIDTH = 76
 
 
-def setting_tooltip(name: str) -> str:
-    """What a setting means and its unit, as Settings declares them."""
-    description = Settings.model_fields[name].description or name
-    return f"{description} Unit: {Settings.unit_of(name)}."
-
-
-class SettingSlider(QWidget):
-    """Shows and changes one number.
+class NumberSlider(QWidget):
+    """Shows and changes one number, which may be found automatically.
 
     Parameters
     ----------
-    name : str
-        Field of Settings; gives the tooltip, the range of the slider and the limits of the number.
     title : str
         Stands above the slider.
+    span : (low, high)
+        Of the slider.
+    limits : (least, most)
+        Of the number; None: that of the slider.
     decimals : int
     logarithmic : bool
         Equal ways of the slider are equal ratios; needs ``low`` > 0.
+    automatic : str
+        Text of the mark that says that the number is found automatically; "": there is none.
+
+    Attributes
+    ----------
+    automatic : QCheckBox or None
     """
 
-    changed = Signal(float)
+    changed = Signal(object)
 
     def __init__(
         self,
-        name: str,
         title: str,
+        span: tuple[float, float],
+        limits: tuple[float | None, float | None],
         decimals: int,
         logarithmic: bool = False,
+        automatic: str = "",
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
-        low, high = self._low, self._high = Settings.slider_of(name)
+        low, high = self._low, self._high = span
         self._log = logarithmic
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, STEPS)
         self.number = QDoubleSpinBox()
         self.number.setDecimals(decimals)
-        least, most = Settings.limits_of(name)
+        least, most = limits
         self.number.setRange(low if least is None else least, high if most is None else most)
         self.number.setKeyboardTracking(False)
         if logarithmic:
@@ -71,36 +74,45 @@ class SettingSlider(QWidget):
         self.number.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
         self.number.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.number.setFixedWidth(NUMBER_WIDTH)
-        self.setObjectName(name)
-        self.setToolTip(setting_tooltip(name))
         self.slider.setAccessibleName(title)
         self.number.setAccessibleName(title)
-        self._head = QHBoxLayout()
-        self._head.setSpacing(8)
-        self._head.addWidget(QLabel(title))
-        self._head.addStretch(1)
-        self._head.addWidget(self.number)
+        self.automatic = QCheckBox(automatic) if automatic else None
+        head = QHBoxLayout()
+        head.setSpacing(8)
+        head.addWidget(QLabel(title))
+        head.addStretch(1)
+        if self.automatic is not None:
+            self.automatic.setAccessibleName(f"{title}: {automatic}")
+            head.addWidget(self.automatic)
+            self.automatic.toggled.connect(self._on_automatic)
+        head.addWidget(self.number)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(1)
-        layout.addLayout(self._head)
+        layout.addLayout(head)
         layout.addWidget(self.slider)
+        if self.automatic is not None:
+            QWidget.setTabOrder(self.automatic, self.number)
+        QWidget.setTabOrder(self.number, self.slider)
         self.slider.valueChanged.connect(self._on_slider)
         self.number.valueChanged.connect(self._on_number)
 
-    def add_to_header(self, widget: QWidget) -> None:
-        """Place a widget beside the number; the tab key comes to it first."""
-        self._head.insertWidget(self._head.count() - 1, widget)
-        QWidget.setTabOrder(self.number, widget)
-        QWidget.setTabOrder(widget, self.number)
-
-    @property
-    def value(self) -> float:
-        """The number that is shown."""
+    def value(self) -> float | None:
+        """Return the number, None if it is found automatically."""
+        if self.automatic is not None and self.automatic.isChecked():
+            return None
         return float(self.number.value())
 
-    def show_value(self, value: float) -> None:
-        """Show a number without telling that it changed."""
+    def show_value(self, value: float | None) -> None:
+        """Show a value without telling that it changed."""
+        if self.automatic is not None:
+            with QSignalBlocker(self.automatic):
+                self.automatic.setChecked(value is None)
+        if value is not None:
+            self.show_number(value)
+
+    def show_number(self, value: float) -> None:
+        """Show a number and leave the mark as it is: what automatic stands for at present."""
         with QSignalBlocker(self.number), QSignalBlocker(self.slider):
             self.number.setValue(value)
             self.slider.setValue(self._position(value))
@@ -109,11 +121,21 @@ class SettingSlider(QWidget):
         value = self._value_at(position)
         with QSignalBlocker(self.number):
             self.number.setValue(value)
-        self.changed.emit(self.value)
+        self._give(float(self.number.value()))
 
     def _on_number(self, value: float) -> None:
         with QSignalBlocker(self.slider):
             self.slider.setValue(self._position(value))
+        self._give(value)
+
+    def _on_automatic(self, _: bool) -> None:
+        self.changed.emit(self.value())
+
+    def _give(self, value: float) -> None:
+        """Tell a number that was set by hand."""
+        if self.automatic is not None:
+            with QSignalBlocker(self.automatic):
+                self.automatic.setChecked(False)
         self.changed.emit(value)
 
     def _value_at(self, position: int) -> float:

@@ -1,0 +1,1 @@
+"""Forms for the settings, built from their declaration with magicgui."""
