@@ -49,7 +49,8 @@ class Declaration:
     automatic : str
         One word for how its value is found if it is not given; only if it need not be given.
     choices : dict
-        Of the values of a choice: a few words, and what it means.
+        Of the values of a choice: a few words, and what it means. A choice of two whose second has
+        no words is shown as a mark beside the words of the first.
     files : str
         Which files it may be, as dialogs for files spell it: ``"Images (*.tif *.png)"``.
     advanced : bool

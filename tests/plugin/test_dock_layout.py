@@ -180,6 +180,7 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
     image.show_live.setFocus()
     qtbot.waitUntil(image.show_live.hasFocus)
     for widget in (
+        image.presets,
         image.form["magnification"].number,
         image.form["magnification"].slider,
         image.form["prior_weight"].automatic,
@@ -191,7 +192,6 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
         image.form["prior"],
         image.form["motion_blur"],
         image.form.more,
-        image.presets,
     ):
         without = widget.grab().toImage()
         qtbot.keyClick(QApplication.focusWidget(), Qt.Key.Key_Tab)

@@ -115,7 +115,7 @@ def test_what_is_rarely_changed_is_folded_away_and_counted(forms: Any) -> None:
     assert form["prior"].isVisibleTo(form)
     assert form.more.text() == "More"
     model.change_settings(max_iterations=50)
-    assert form.more.text() == "More: 1 changed"
+    assert form.more.text() == "More (1)"
     form.more.click()
     assert form["max_iterations"].isVisibleTo(form)
 

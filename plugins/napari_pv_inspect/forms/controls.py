@@ -13,6 +13,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QComboBox
 
 from napari_pv_inspect.forms.native import NativeWidget
+from napari_pv_inspect.widgets.choice_mark import ChoiceMark
 from napari_pv_inspect.widgets.file_field import FileField
 from napari_pv_inspect.widgets.number_field import NumberField
 from napari_pv_inspect.widgets.number_slider import NumberSlider
@@ -93,6 +94,18 @@ class PointControl(NativeWidget):
         super().__init__(partial(NumbersField, word), name=name, **kwargs)
 
 
+class Mark:
+    """Type of a choice of two that is shown as a mark."""
+
+
+class MarkControl(NativeWidget):
+    """A choice of two as a mark: the first if it is set."""
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        (on, (words, _)), (off, _) = Settings.declared(name).choices.items()
+        super().__init__(partial(ChoiceMark, words, on, off), name=name, **kwargs)
+
+
 # A map of our own: what other plugins make of these types is theirs.
 _TYPES = TypeMap()
 # Before int: a flag is one to Python.
@@ -101,6 +114,7 @@ _TYPES.register_type(float, widget_type=NumberControl)
 _TYPES.register_type(int, widget_type=NumberControl)
 _TYPES.register_type(Path, widget_type=FileControl)
 _TYPES.register_type(str, widget_type=TextControl)
+_TYPES.register_type(Mark, widget_type=MarkControl)
 _TYPES.register_type(tuple[float, float], widget_type=PointControl)
 
 
@@ -115,7 +129,10 @@ def control_of(name: str) -> ValueWidget[Any]:
     """
     declared, (kind, optional) = Settings.declared(name), Settings.kind_of(name)
     options: dict[str, Any] = {"tooltip": tooltip_of(name)}
-    if declared.choices:
+    words = [text for text, _ in declared.choices.values()]
+    if len(words) == 2 and not words[1]:
+        kind = Mark
+    elif words:
         options["choices"] = [(text, value) for value, (text, _) in declared.choices.items()]
     control = _TYPES.create_widget(
         value=Settings.model_fields[name].default,

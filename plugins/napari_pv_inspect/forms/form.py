@@ -7,10 +7,17 @@ from functools import partial
 from itertools import groupby
 from typing import Any
 
-from magicgui.widgets import CheckBox
 from magicgui.widgets.bases import ValueWidget
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QGridLayout, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import (
+    QCheckBox,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from napari_pv_inspect.forms.controls import control_of, label_of, tooltip_of
 from napari_pv_inspect.models.workbench import WorkbenchModel
@@ -22,6 +29,7 @@ from pv_inspect.settings import Group, Settings
 __all__ = ["SettingsForm"]
 
 MORE = "More"
+MORE_TIP = "Show or fold the settings that are rarely changed."
 SIDE_BY_SIDE = 3
 
 
@@ -58,6 +66,7 @@ class SettingsForm(QWidget):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(4)
         self._numbers: QGridLayout | None = None
+        self._last_line: QHBoxLayout | QGridLayout | None = None
         self._fill(column, usual)
         self.more = QToolButton()
         self._folded = QWidget()
@@ -77,7 +86,9 @@ class SettingsForm(QWidget):
     def beside_numbers(self, widget: QWidget) -> None:
         """Place a widget at the end of the row of numbers."""
         assert self._numbers is not None
-        self._numbers.addWidget(widget, 1, self._numbers.columnCount())
+        at = self._numbers.columnCount()
+        taken = self._numbers.itemAtPosition(1, at - 1) is not None
+        self._numbers.addWidget(widget, 1, at if taken else at - 1)
 
     def place_below(self, name: str, *widgets: QWidget) -> None:
         """Place widgets below the control of a setting that has a line of its own."""
@@ -93,12 +104,15 @@ class SettingsForm(QWidget):
         self.more.setCheckable(True)
         self.more.setAutoRaise(True)
         self.more.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.more.setToolTip("Show or fold the settings that are rarely changed.")
         inside = QVBoxLayout(self._folded)
         inside.setContentsMargins(0, 0, 0, 0)
         inside.setSpacing(4)
+        # A line of its own would make the page scroll on small screens.
+        if isinstance(self._last_line, QGridLayout):
+            self._last_line.addWidget(self.more, 0, self._last_line.columnCount())
+        else:
+            (self._last_line or column).addWidget(self.more)
         self._fill(inside, self._rare)
-        column.addWidget(self.more)
         column.addWidget(self._folded)
         self.more.toggled.connect(self._on_fold)
         self._on_fold(False)
@@ -124,16 +138,20 @@ class SettingsForm(QWidget):
                 grid.addWidget(self[name], 1, at)
             column.addLayout(grid)
             self._numbers = self._numbers or grid
+            self._last_line = grid
 
     def _add_line(self, column: QVBoxLayout, name: str) -> None:
         control = self._controls[name]
-        if isinstance(control.native, NumberSlider) or isinstance(control, CheckBox):
-            column.addWidget(control.native)  # has its title itself
+        if isinstance(control.native, NumberSlider):  # has its title itself
+            column.addWidget(control.native)
+            self._last_line = None
             return
         line = QHBoxLayout()
-        line.addWidget(_label(name, control.native))
+        if not isinstance(control.native, QCheckBox):
+            line.addWidget(_label(name, control.native))
         line.addWidget(control.native, 1)
         column.addLayout(line)
+        self._last_line = line
 
     def _on_value(self, name: str, value: Any) -> None:
         change = self._on_change.get(name)
@@ -156,7 +174,8 @@ class SettingsForm(QWidget):
                 control.native.show_number(stand_in)
         usual = Settings()
         changed = sum(getattr(settings, name) != getattr(usual, name) for name in self._rare)
-        self.more.setText(f"{MORE}: {changed} changed" if changed else MORE)
+        self.more.setText(f"{MORE} ({changed})" if changed else MORE)
+        self.more.setToolTip(MORE_TIP + (f" {changed} differ from the default." if changed else ""))
 
     def _on_fold(self, shown: bool) -> None:
         self._folded.setVisible(shown)

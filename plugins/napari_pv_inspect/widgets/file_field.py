@@ -42,6 +42,7 @@ class FileField(QWidget):
         self._title, self._files, self._missing = title, files, missing
         self._path: Path | None = None
         self.name = ElidedLabel(missing)
+        self.name.setMinimumWidth(40)
         self.choose, self.clear = QPushButton("..."), QPushButton("x")
         self.choose.setToolTip(f"Choose: {tip}")
         self.choose.setAccessibleName(f"{title}: choose")
@@ -49,9 +50,10 @@ class FileField(QWidget):
         self.clear.setAccessibleName(f"{title}: none")
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
         layout.addWidget(self.name, 1)
         for button in (self.choose, self.clear):
-            button.setFixedWidth(30)
+            button.setFixedWidth(28)
             layout.addWidget(button)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.choose.clicked.connect(self._on_choose)

@@ -78,7 +78,7 @@ class NumberSlider(QWidget):
         self.number.setAccessibleName(title)
         self.automatic = QCheckBox(automatic) if automatic else None
         head = QHBoxLayout()
-        head.setSpacing(8)
+        head.setSpacing(6)
         head.addWidget(QLabel(title))
         head.addStretch(1)
         if self.automatic is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from qtpy.QtCore import Signal
-from qtpy.QtWidgets import QGroupBox, QLabel, QPushButton, QVBoxLayout, QWidget
+from qtpy.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.forms.form import SettingsForm
@@ -34,15 +34,17 @@ class ImageBox(QGroupBox):
         self._live = live
         self.show_live = QPushButton("Live cell")
         self.show_live.setToolTip("Show the selected cell large while the sliders move.")
+        self.presets = PresetMenu(model, live.tuning)
         self.form = SettingsForm(model, Group.IMAGE, self._stand_ins)
         self.plot = LambdaPlot()
-        self.presets = PresetMenu(model, live.tuning)
         layout = QVBoxLayout(self)
-        layout.addWidget(self.show_live)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.show_live, 1)
+        buttons.addWidget(self.presets, 1)
+        layout.addLayout(buttons)
         layout.addWidget(self.form)
         layout.addWidget(QLabel("Held-out residual over lambda"))
         layout.addWidget(self.plot)
-        layout.addWidget(self.presets)
         self.plot.chosen.connect(self._on_chosen)
         self.show_live.clicked.connect(self.live_wanted)
         listen(model.settings_changed, self._on_settings)
