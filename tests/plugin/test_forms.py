@@ -24,6 +24,7 @@ OTHER_VALUES: dict[str, Any] = {
     "module_at": (120.0, 80.5),
     "dark_frame": Path("dark.tif"),
     "flat_frame": Path("flat.tif"),
+    "series": "EL",
     "max_frame_mpx": 20.0,
     "max_frames": 50,
     "kappa": -0.25,

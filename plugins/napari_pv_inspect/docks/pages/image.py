@@ -12,7 +12,7 @@ from napari_pv_inspect.live.cell_renderer import lambda_in_use
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.lambda_plot import LambdaPlot
 from napari_pv_inspect.widgets.listen import listen
-from pv_inspect.reconstruction.reconstruct import TYPICAL_SIGMA_LR_PX
+from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.settings import Group, Settings
 
@@ -54,11 +54,8 @@ class ImageBox(QGroupBox):
 
     def _stand_ins(self) -> dict[str, float | None]:
         """Return what counts until the next run for what is found automatically."""
-        made = self._made
-        return {
-            "prior_weight": lambda_in_use(self._model.inspection, self._model.settings),
-            "psf_sigma_lr_px": TYPICAL_SIGMA_LR_PX if made is None else made.psf_sigma_lr_px,
-        }
+        used = values_in_use(self._model.settings, made=self._made)
+        return {"prior_weight": used.prior_weight, "psf_sigma_lr_px": used.psf_sigma_lr_px}
 
     def _on_chosen(self, weight: float) -> None:
         low, high = Settings.slider_of("prior_weight")
