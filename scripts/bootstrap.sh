@@ -66,7 +66,7 @@ setup_python() {
     echo "Installing the pinned packages into $VENV: about 1 GB, a few minutes"
     # The build tools are pinned as well, so the project is built without an environment of its own.
     pip_install hatchling editables
-    pip_install --no-build-isolation --editable ".[gui,notebook,dev]"
+    pip_install --no-build-isolation --editable ".[gui,notebook,formats,dev]"
 }
 
 setup_docs() {

@@ -11,10 +11,10 @@ trap 'rm -rf "$folder"' EXIT
 "$python" -m venv "$folder/venv"
 "$folder/venv/bin/python" -m pip install --quiet --upgrade pip
 "$folder/venv/bin/python" -m pip install --quiet hatchling editables
-"$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,notebook,dev,docs]"
+"$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,notebook,formats,dev,docs]"
 {
     echo "# Exact versions of everything that 'make demo', 'make test' and 'make docs' install: the extras"
-    echo "# gui, notebook, dev and docs, and the build tools. For Python 3.11 to 3.13. Written by"
+    echo "# gui, notebook, formats, dev, docs, and the build tools. For Python 3.11 to 3.13. Written by"
     echo "# scripts/constraints.sh; do not edit by hand."
     "$folder/venv/bin/python" -m pip freeze --exclude-editable --exclude pip --exclude setuptools
 } >"$folder/constraints.txt"

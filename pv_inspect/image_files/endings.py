@@ -14,6 +14,9 @@ ENDINGS = {
     "PNG": (".png",),
     "JPEG": (".jpg", ".jpeg", ".jpe"),
     "BMP": (".bmp",),
+    "NumPy": (".npy", ".npz"),
+    "FITS": (".fits", ".fit", ".fts"),
+    "HDF5": (".h5", ".hdf5", ".nxs"),
 }
 """Of every format, in small letters, with the dot."""
 

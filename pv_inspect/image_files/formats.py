@@ -8,8 +8,11 @@ from typing import Any
 from numpy.typing import NDArray
 
 from pv_inspect.image_files.endings import ENDINGS
+from pv_inspect.image_files.fits import decoded_fits, listed_fits
+from pv_inspect.image_files.hdf5 import decoded_hdf5, listed_hdf5
 from pv_inspect.image_files.jpeg import listed_photo, read_photo
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.numpy_files import decoded_numpy, listed_numpy
 from pv_inspect.image_files.picture import ImageFormat, Listing, Picture
 from pv_inspect.image_files.png import png_header, png_pixels
 from pv_inspect.image_files.regular import FileState, open_regular
@@ -42,11 +45,14 @@ FORMATS = (
     ImageFormat("PNG", _listed_png, _decoded_png),
     ImageFormat("JPEG", _listed_photo, _decoded_photo),
     ImageFormat("BMP", _listed_photo, _decoded_photo),
+    ImageFormat("FITS", listed_fits, decoded_fits),
+    ImageFormat("NumPy", listed_numpy, decoded_numpy, stacks=True),
+    ImageFormat("HDF5", listed_hdf5, decoded_hdf5, stacks=True),
 )
 _OF_ENDING = {ending: kind for kind in FORMATS for ending in ENDINGS[kind.name]}
 
-FORMAT_NAMES = "TIFF, PNG, JPEG or BMP"
-"""What a sentence calls the formats of single images."""
+FORMAT_NAMES = f"{', '.join(kind.name for kind in FORMATS[:-1])} or {FORMATS[-1].name}"
+"""What a sentence calls all of them."""
 
 
 def format_of(path: Path) -> ImageFormat | None:

@@ -77,11 +77,12 @@ class ImageFormat:
     decoded : callable
         Decodes one of them, (path, state, picture, limits), to (height, width) or (height, width,
         channels); raises `ImageFileError`.
-    in_folders : bool
-        Whether such files in a folder are taken for its frames.
+    stacks : bool
+        Whether such a file is meant to hold a whole sequence: in a folder it counts only where
+        there are no images of other formats.
     """
 
     name: str
     listed: Callable[[Path, FileState, ReadLimits, str | None], Listing]
     decoded: Callable[[Path, FileState, Picture, ReadLimits], NDArray[Any]]
-    in_folders: bool = True
+    stacks: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["ImageFileError", "damaged", "needs_decoder", "unreadable"]
+__all__ = ["ImageFileError", "damaged", "needs_decoder", "needs_package", "unreadable"]
 
 _COPY_AGAIN = "copy it again from the camera or remove it."
 
@@ -32,6 +32,14 @@ def needs_decoder(what: str) -> ImageFileError:
     return ImageFileError(
         f"is stored as {what}, which needs a decoder that is not installed: convert it without "
         "loss to an uncompressed or Deflate TIFF or a PNG of 8 or 16 bits."
+    )
+
+
+def needs_package(what: str, extra: str) -> ImageFileError:
+    """The file may well be whole, but an optional package is missing that reads its kind."""
+    return ImageFileError(
+        f"is {what}, which needs a decoder that is not installed: "
+        f"pip install 'pv-inspect[{extra}]', or convert it to TIFF."
     )
 
 

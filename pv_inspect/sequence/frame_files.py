@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.image_files.formats import FORMAT_NAMES, format_of
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.natural_order import natural_key
 from pv_inspect.image_files.picture import ImageFormat, Picture
 from pv_inspect.image_files.problems import ImageFileError
 from pv_inspect.image_files.regular import FileState, file_state
@@ -74,16 +74,6 @@ class FrameFile:
     def label(self, name: str) -> str:
         """Name of the frame, given the name of its file."""
         return name if self.single else f"{name}[{self.page}]"
-
-
-def natural_key(name: str) -> list[tuple[int, int | str]]:
-    """Sort key that puts frame_2 before frame_10.
-
-    >>> sorted(["frame_10.tif", "frame_2.tif"], key=natural_key)
-    ['frame_2.tif', 'frame_10.tif']
-    """
-    parts = re.split(r"(\d+)", name.casefold())
-    return [(0, int(p)) if p.isdecimal() else (1, p) for p in parts]
 
 
 def expand(

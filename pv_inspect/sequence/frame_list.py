@@ -161,18 +161,17 @@ def _find(
 
 
 def _images_in(folder: Path) -> list[Path]:
-    """Return the images of a folder in natural order; what only looks like one is no silent gap."""
-    images = [
-        existing_image(path)
-        for path in folder.iterdir()
-        if _in_folders(path) and not path.name.startswith(".") and not path.is_dir()
-    ]
+    """Return the images of a folder in natural order; what only looks like one is no silent gap.
+
+    Files that are meant to hold a whole sequence count where there is nothing else.
+    """
+    found: dict[bool, list[Path]] = {False: [], True: []}
+    for path in folder.iterdir():
+        kind = format_of(path)
+        if kind is not None and not path.name.startswith(".") and not path.is_dir():
+            found[kind.stacks].append(path)
+    images = map(existing_image, found[False] or found[True])
     return sorted(images, key=lambda p: natural_key(p.name))
-
-
-def _in_folders(path: Path) -> bool:
-    kind = format_of(path)
-    return kind is not None and kind.in_folders
 
 
 def _without_repeats(paths: list[Path]) -> tuple[list[Path], list[tuple[Path, Path]]]:

@@ -16,7 +16,7 @@ from tests.fuzz.raw import damaged, tiffs
 from tests.fuzz.readers import matching
 from tests.fuzz.stored import databases, models, zips
 from tests.fuzz.texts import encoded, json_texts, odd_strings, tokens
-from tests.fuzz.values import VALUE_TYPES, odd_values
+from tests.fuzz.values import VALUE_TYPES, odd_values, other_text
 
 __all__ = ["CASES", "SHARES"]
 
@@ -76,6 +76,26 @@ def _series_frames(draw: st.DrawFn) -> Case:
     ]
     wish = draw(st.one_of(st.just(()), st.sampled_from((("1",), ("2",))), st.tuples(odd_strings)))
     return Case("frames", (*files, ("frames/stack.tif", data)), wish)
+
+
+@st.composite
+def _array_frames(draw: st.DrawFn) -> Case:
+    """Damaged stacks of NumPy, FITS and HDF5."""
+    name = draw(st.sampled_from(sorted(seeds.array_files())))
+    data = seeds.array_files()[name]
+    kind = draw(st.sampled_from(("whole", "anywhere", "head", "head", "text")))
+    if kind == "anywhere":
+        data = draw(damaged(data))
+    elif kind == "head":  # where the sizes stand
+        n = draw(st.sampled_from((80, 400, 3000)))
+        data = draw(damaged(data[:n])) + data[n:]
+    elif kind == "text":
+        data = draw(other_text(data))
+    files: list[tuple[str, bytes | None]] = [
+        (known, None) for known in seeds.frames() if not known.endswith(".json")
+    ]
+    wish = draw(st.sampled_from(((), (), ("1",), ("2",), ("frames",), ("entry/data",))))
+    return Case("frames", (*files, (f"frames/{name}", data)), wish)
 
 
 @st.composite
@@ -274,6 +294,7 @@ CASES: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "frames, photos": _photo_frames,
     "frames, values": _value_frames,
     "frames, series": _series_frames,
+    "frames, arrays": _array_frames,
     "frames, odd names": _named_frames,
     "links, pipes, devices": _links,
     "module.json": _sidecars,
@@ -296,6 +317,7 @@ SHARES = {
     "frames, photos": 4,
     "frames, values": 4,
     "frames, series": 3,
+    "frames, arrays": 8,
     "frames, odd names": 3,
     "links, pipes, devices": 2,
     "module.json": 5,

@@ -9,7 +9,7 @@ import hypothesis.strategies as st
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["VALUE_TYPES", "odd_values"]
+__all__ = ["VALUE_TYPES", "odd_values", "other_text"]
 
 Picture = NDArray[Any]
 VALUE_TYPES = (
@@ -42,3 +42,32 @@ def odd_values(draw: st.DrawFn) -> Callable[[Picture, str], Picture]:
             return values.astype(dtype)
 
     return odd
+
+
+_WORDS = (
+    *(b"'<u2'", b"'|O'", b"'<f8'", b"'>i4'", b"[('a', '<u2')]", b"False", b"True", b"(3, 60, 80)"),
+    *(b"(3, 60, 80)", b"(-3, 60, 80)", b"(3, 60, 8000000000)", b"()", b"NAXIS1  =", b"NAXIS3  ="),
+    *(b"BITPIX  =", b"-64", b"-32", b"  8", b" 16", b" 64", b"SIMPLE", b"XTENSION", b"IMAGE"),
+    *(b"BZERO   =", b"BSCALE  =", b"BLANK   =", b"32768", b"END     ", b"ZNAXIS1 =", b"RICE_1"),
+    *(
+        b"PCOUNT  =",
+        b"  60",
+        b"  80",
+        b"9999999999",
+        b"nan",
+        b"frames.npy",
+        b"entry",
+        b"PK\x01\x02",
+    ),
+)
+
+
+@st.composite
+def other_text(draw: st.DrawFn, data: bytes) -> bytes:
+    """Bytes in which some words of headers were replaced by others of any length."""
+    for _ in range(draw(st.integers(1, 3))):
+        word, other = draw(st.sampled_from(_WORDS)), draw(st.sampled_from(_WORDS))
+        if draw(st.booleans()):
+            other = other[: len(word)].ljust(len(word))
+        data = data.replace(word, other, draw(st.sampled_from((1, 1, 9))))
+    return data

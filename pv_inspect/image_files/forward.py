@@ -1,0 +1,69 @@
+"""Files whose pictures come one after the other: the last one stays open, to go on from there."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pv_inspect.image_files.problems import damaged
+
+__all__ = ["ForwardReader"]
+
+Pixels = NDArray[Any]
+
+
+class ForwardReader:
+    """Reads the k-th picture of a stream; forward steps cost little, backward ones start again.
+
+    For several threads, one at a time.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._key: object = None
+        self._stream: Iterator[Pixels] = iter(())
+        self._next = 0
+        self._last: Pixels | None = None
+
+    def picture(self, key: object, index: int, begin: Callable[[], Iterator[Pixels]]) -> Pixels:
+        """Return picture ``index``.
+
+        Parameters
+        ----------
+        key : object
+            Equal for the same stream of the same state of a file.
+        index : int
+        begin : callable
+            Opens the stream: an iterator over all pictures, which closes what it has opened.
+
+        Raises
+        ------
+        ImageFileError
+            If the stream ends before.
+        """
+        with self._lock:
+            if key != self._key or index < self._next - 1 or self._last is None:
+                self._close()
+                self._stream, self._key = begin(), key
+            try:
+                while self._next <= index:
+                    self._last = None
+                    self._last = next(self._stream)
+                    self._next += 1
+            except StopIteration:
+                self._close()
+                raise damaged(f"it ends after {self._next} pictures") from None
+            except BaseException:
+                self._close()
+                raise
+            assert self._last is not None
+            return self._last
+
+    def _close(self) -> None:
+        close = getattr(self._stream, "close", None)
+        if close is not None:
+            close()
+        self._key, self._stream, self._next, self._last = None, iter(()), 0, None
