@@ -85,16 +85,7 @@ def inspect(
 def inspect_steps(
     sequence: FrameSequence, settings: Settings | None = None, start: Inspection | None = None
 ) -> Generator[Step, None, Inspection]:
-    """Run the whole method on one sequence (paper, Fig. 2), step by step.
-
-    Parameters
-    ----------
-    sequence : FrameSequence
-    settings : Settings, optional
-        The defaults if not given.
-    start : Inspection, optional
-        An earlier, possibly partial result of the same `FrameSequence` object: what the settings do
-        not make stale is taken over instead of computed.
+    """Do what `inspect` does, step by step: see there for parameters and errors.
 
     Yields
     ------
@@ -105,11 +96,6 @@ def inspect_steps(
     -------
     Inspection
         Complete.
-
-    Raises
-    ------
-    InspectionError
-        If the layout is unknown and can't be guessed, or no frame can be used.
     """
     settings = settings if settings is not None else Settings()
     begun = perf_counter()

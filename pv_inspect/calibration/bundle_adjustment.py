@@ -28,7 +28,8 @@ CAUCHY = 2.385
 OUTLIER = 4.0
 # Median of the length of a 2D Gaussian vector with unit standard deviation per axis.
 RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
-# Squared residual of a point without an image, in units of its variance: a price, not a wall.
+# Squared residual of a point without an image, in units of its variance: large, but finite, so that
+# costs can still be compared.
 NO_IMAGE = 1e6
 MAX_STEPS = 30
 # Scale of residuals without noise, units of sigma_px: keeps the covariances regular.

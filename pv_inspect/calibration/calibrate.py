@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from pv_inspect.calibration.camera_file import KnownCamera, read_camera
 from pv_inspect.calibration.focal_length import (
     FOCAL_TOLERANCE,
-    conventional_focal_length,
     focal_length,
+    usual_camera,
 )
 from pv_inspect.calibration.frame_fits import (
     FrameReasons,
@@ -128,7 +128,7 @@ def calibrate(
         CENTRE_STD * max(image_shape) if principal_point_std_px is None else principal_point_std_px
     )
     known = _known_camera(image_shape, settings)
-    K = _usual_matrix(image_shape, settings) if known is None else known.K
+    K = usual_camera(image_shape, settings).K if known is None else known.K
     to_unit = unit_transform(crossings.layout)
     frames = FrameReasons(len(crossings.frames))
     views = views_of(crossings, to_unit, frames)
@@ -186,10 +186,3 @@ def _known_camera(image_shape: tuple[int, int], settings: Settings) -> KnownCame
         )
     known = read_camera(settings.calibration_file, image_shape)
     return known if settings.kappa is None else KnownCamera(known.K, settings.kappa)
-
-
-def _usual_matrix(image_shape: tuple[int, int], settings: Settings) -> Array:
-    """K with square pixels and the principal point in the middle of the image."""
-    focal = settings.focal_length_px or conventional_focal_length(image_shape)
-    x, y = (image_shape[1] - 1) / 2.0, (image_shape[0] - 1) / 2.0
-    return np.array([[focal, 0.0, x], [0.0, focal, y], [0.0, 0.0, 1.0]])

@@ -19,6 +19,7 @@ __all__ = [
     "conventional_focal_length",
     "focal_length",
     "focal_length_source",
+    "usual_camera",
 ]
 
 Array = NDArray[np.float64]
@@ -104,6 +105,20 @@ FOCAL_TOLERANCE = 0.03
 def conventional_focal_length(image_shape: tuple[int, int]) -> float:
     """Focal length in LR px where nothing tells it: a field of view of 45 degrees."""
     return FOCAL_CONVENTION * float(max(image_shape))
+
+
+def usual_camera(image_shape: tuple[int, int], settings: Settings) -> Camera:
+    """Return the camera that a fit starts with: the given focal length, or else the convention.
+
+    Parameters
+    ----------
+    image_shape : tuple of int
+        (height, width) of a frame.
+    settings : Settings
+        ``focal_length_px`` counts here.
+    """
+    focal = settings.focal_length_px or conventional_focal_length(image_shape)
+    return Camera.centred(focal, image_shape)
 
 
 def focal_length_source(

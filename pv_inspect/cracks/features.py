@@ -43,7 +43,7 @@ _SCORE_WIDTH_CELLS = 0.01
 # (`pv_inspect.reconstruction.support`): pixels with less show no detail that is finer than the
 # pixels of a frame and comes from the frames.
 UNSUPPORTED = 0.1
-_UNEARNED_SHARE = 0.5
+_UNSUPPORTED_SHARE = 0.5
 # Classes: less than this share of the cell counts as nothing cut off, and brightness of what would
 # be cut off relative to the rest of the cell.
 _LEAST_ISOLATED = 0.01
@@ -151,7 +151,7 @@ class CellFeatures:
 
         True if no support map is known.
         """
-        return not self.unsupported_share >= _UNEARNED_SHARE
+        return not self.unsupported_share >= _UNSUPPORTED_SHARE
 
     @property
     def marked_class(self) -> str:
@@ -313,9 +313,9 @@ def measure_cell(
         shares = [_unsupported_share(chains, support) for chains in lines]
         unsupported = _unsupported_share([chain for chains in lines for chain in chains], support)
         if readable and not marks:
-            unsure = unsupported >= _UNEARNED_SHARE
+            unsure = unsupported >= _UNSUPPORTED_SHARE
         elif marks:
-            firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNEARNED_SHARE]
+            firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNSUPPORTED_SHARE]
             without = _class_of(len(firm), *_isolated(tile, firm, busbars))
             unsure = without != _class_of(len(marks), isolated, brightness)
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)

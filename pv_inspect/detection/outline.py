@@ -107,11 +107,12 @@ class Outline:
 
 
 def conventional_camera(shape: tuple[int, int], kappa: float = 0.0) -> Camera:
-    """Return a camera with its principal point in the centre and f = the longer image side."""
-    height, width = shape
-    f = float(max(width, height))
-    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    return Camera(np.array([[f, 0, centre_x], [0, f, centre_y], [0, 0, 1.0]]), kappa)
+    """Return a camera with its principal point in the centre and f = the longer image side.
+
+    Not `conventional_focal_length` of the calibration, which is 1.2 times it: poses of the outline
+    are starts only, but the stiffness of kappa in `fit_pose` belongs to this f.
+    """
+    return Camera.centred(float(max(shape)), shape, kappa)
 
 
 def find_outline(image: NDArray[np.float32]) -> Outline:

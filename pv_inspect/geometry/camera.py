@@ -90,6 +90,21 @@ class Camera:
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "kappa", float(self.kappa))
 
+    @classmethod
+    def centred(cls, focal: float, image_shape: tuple[int, int], kappa: float = 0.0) -> Camera:
+        """Return a camera with square pixels and its principal point in the middle of the image.
+
+        Parameters
+        ----------
+        focal : float
+            Focal length, LR px.
+        image_shape : tuple of int
+            (height, width) of a frame.
+        kappa : float, optional
+        """
+        x, y = (image_shape[1] - 1) / 2.0, (image_shape[0] - 1) / 2.0
+        return cls(np.array([[focal, 0.0, x], [0.0, focal, y], [0.0, 0.0, 1.0]]), kappa)
+
     @property
     def fold_radius(self) -> tuple[float, float]:
         """Undistorted and distorted radius of the fold, normalised; infinite for kappa >= 0."""

@@ -42,7 +42,8 @@ _HUBER = 4.0
 # Noise levels that a whole frame may be off before it counts for less: with a blur that the model
 # doesn't know it is 1.5, with another module in it 5 and more.
 _WHOLE_FRAME = 2.0
-# Gaussian that the light is smoothed with before the noise is read off it, and where it ends.
+# Gaussian that the light is smoothed with before the noise is read off it, and where it ends: not
+# that of `NoiseModel.precision`, which says why.
 _SMOOTH_LR_PX, _REACH = 1.0, 4
 # HR pixels between the points that the mean vignetting is computed at.
 _COARSE = 16

@@ -21,8 +21,8 @@ __all__ = ["Problem", "Solution", "first_guess", "minimise"]
 
 Image = NDArray[np.floating]
 
-# Steps on one majoriser: fewer waste majorisers, more solve a problem of yesterday. The first ones
-# are far off anyway.
+# Steps on one majoriser: with fewer most time goes into new ones, with more into minimising one
+# that is out of date. The first ones are far off anyway.
 _INNER_ITERATIONS = (4, 8, 12)
 _INNER_ITERATIONS_SPECTRAL = (3, 4, 6)
 # The prior measures differences in this share of the module's brightness.
@@ -129,8 +129,8 @@ def minimise(
         by less than three times this share of the brightness, rms. The default ends within about
         0.1 dB of what ten times the steps give.
     spectral : bool
-        Precondition in the frequency domain as well: half of the steps, and it pays where a step
-        is dear, on whole modules.
+        Precondition in the frequency domain as well: half of the steps, which saves time where a
+        step takes long, on whole modules.
 
     Yields
     ------
@@ -140,7 +140,9 @@ def minimise(
     Notes
     -----
     R is majorised by a quadratic and the sum minimised by preconditioned conjugate gradients from
-    where the last round ended: E falls from round to round.
+    where the last round ended: E falls from round to round. The loop keeps the residual of the data
+    apart and updates everything in one pass; that of the support (`support_of`) does without. In
+    one function they would round in another way.
     """
     equations, prior = problem.equations, problem.prior
     f = start.copy()

@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
-from pv_inspect.calibration.focal_length import conventional_focal_length
+from pv_inspect.calibration.focal_length import usual_camera
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.module_choice.choice import choose_module
@@ -114,7 +113,7 @@ def register_by_homography(
             f"The crossing points of {sequence.names[reference]} do not fit a module of "
             f"{layout.rows} x {layout.cols} cells: check rows and cols."
         )
-    camera = _camera(sequence, settings)
+    camera = usual_camera(sequence.shape, settings)
     target = sequence.frame(reference).image
     warps: dict[int, _Aligned] = {reference: _Aligned(np.eye(3), 1.0)}
     for index in range(len(sequence)):
@@ -185,14 +184,6 @@ def _homography(source: Array, target: Array) -> Array | None:
     if H.shape != (3, 3):  # there is none
         return None
     return H if np.isfinite(H).all() and abs(np.linalg.det(H)) > 1e-12 else None
-
-
-def _camera(sequence: FrameSequence, settings: Settings) -> Camera:
-    height, width = sequence.shape
-    focal = settings.focal_length_px or conventional_focal_length(sequence.shape)
-    return Camera(
-        np.array([[focal, 0, (width - 1) / 2.0], [0, focal, (height - 1) / 2.0], [0, 0, 1.0]]), 0.0
-    )
 
 
 def _mask(frame: Frame, points: Array, layout: ModuleLayout) -> NDArray[np.uint8]:
@@ -274,8 +265,7 @@ def _with_photometry(
     lost = []
     for index in np.flatnonzero(state.used):
         frame = sequence.frame(int(index))
-        sigma = sequence.noise.sigma(cv2.GaussianBlur(frame.image, (0, 0), 2.0))
-        precision = np.where(frame.valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
+        precision = sequence.noise.precision(frame.image, frame.valid)
         try:
             to_grid = np.asarray(np.linalg.inv(state.homographies[index] @ grid.matrix), np.float64)
         except np.linalg.LinAlgError:

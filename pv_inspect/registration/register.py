@@ -147,7 +147,7 @@ def register(
             done += 1
             if state.used[index]:
                 frame = sequence.frame(index)
-                precision = _precision(sequence, frame.image, frame.valid)
+                precision = sequence.noise.precision(frame.image, frame.valid)
                 try:
                     (homographies[index], gain[index], offset[index], rms[index]) = _align(
                         blur(frame.image, plan.blur_lr_px),
@@ -228,11 +228,6 @@ def _rays(camera: Camera, shape: tuple[int, int]) -> Array:
     """Undistorted normalised coordinates of all LR pixels; NaN beyond the fold."""
     rows, cols = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
     return camera.undistort(camera.to_normalised(np.stack([cols, rows], axis=-1)))
-
-
-def _precision(sequence: FrameSequence, image: Image, valid: NDArray[np.bool_]) -> Image:
-    sigma = sequence.noise.sigma(cv2.GaussianBlur(image, (0, 0), 2.0))
-    return np.where(valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
 
 
 def left_out(sequence: FrameSequence, settings: Settings) -> dict[int, str]:

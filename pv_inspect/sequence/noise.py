@@ -21,6 +21,8 @@ _LEAST_BLOCKS = 30
 _QUIET_BLOCK_SHARE = 0.555
 # Quantisation to 14 bits; keeps sigma above zero on synthetic images without noise.
 _LEAST_VARIANCE = (2.0**-14) ** 2 / 12.0
+# Gaussian that the light is smoothed with before the noise is read off it.
+_SMOOTH_LR_PX = 2.0
 # Weight of a bin above the line against one below it.
 _ABOVE_THE_LINE = 0.02
 
@@ -54,6 +56,31 @@ class NoiseModel:
         variance = self.read_variance + self.shot_gain * np.maximum(image, 0.0)
         sigma: Image = np.sqrt(variance).astype(np.float32)
         return sigma
+
+    def precision(self, image: Image, valid: Mask) -> Image:
+        """Return 1 / variance of the pixels of a frame for its registration.
+
+        Parameters
+        ----------
+        image : (height, width) float32
+            Full scale = 1. The variance follows the light, not a pixel's own noise: it is read off
+            the smoothed image.
+        valid : (height, width) bool
+
+        Returns
+        -------
+        (height, width) float32
+            0 where a pixel is not valid.
+
+        Notes
+        -----
+        Not the weights of the reconstruction, which `pv_inspect.photometry.photometry.observed`
+        makes: those are of the light of the module, which the sensor has changed, and smooth over
+        1 px that end after 4, so that a part of a frame has the weights of the whole. All results
+        so far rest on the one or the other.
+        """
+        sigma = self.sigma(cv2.GaussianBlur(image, (0, 0), _SMOOTH_LR_PX))
+        return np.where(valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
 
 
 def estimate_noise(frames: list[Image], valid: list[Mask]) -> NoiseModel:
