@@ -10,15 +10,14 @@ from time import sleep
 from typing import Any
 
 import numpy as np
+import platformdirs
 import pytest
 from pytestqt.qtbot import QtBot
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
 
-from qtpy.QtCore import QSettings  # noqa: E402 (Qt reads the platform on import)
-
-from napari_pv_inspect.application import build  # noqa: E402
+from napari_pv_inspect.application import build  # noqa: E402 (Qt reads the platform on import)
 from napari_pv_inspect.docks.gallery import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
 from pv_inspect.inspection.inspection import Inspection, Step  # noqa: E402
@@ -70,10 +69,10 @@ def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
-def own_settings(tmp_path: Path) -> None:
+def own_user_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep what the workbench remembers out of the user's folder."""
-    kind = QSettings.Format.IniFormat
-    QSettings.setPath(kind, QSettings.Scope.UserScope, str(tmp_path / "config"))
+    folder = tmp_path / "config" / "pv-inspect"
+    monkeypatch.setattr(platformdirs, "user_config_dir", lambda _: str(folder))
 
 
 @pytest.fixture(scope="session")

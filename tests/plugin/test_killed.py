@@ -13,9 +13,9 @@ from time import sleep
 from typing import Any
 
 import numpy as np
+import platformdirs
 import pytest
 from pytestqt.qtbot import QtBot
-from qtpy.QtCore import QSettings
 
 from napari_pv_inspect.application import build
 from pv_inspect.inspection.inspection import Inspection
@@ -114,7 +114,10 @@ def killed_at_the_end(script: str, folder: Path) -> Generator[subprocess.Popen[s
 
 
 def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
-    folder: Path, make_napari_viewer: Callable[..., Any], qtbot: QtBot
+    folder: Path,
+    make_napari_viewer: Callable[..., Any],
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     given: dict[tuple[int, int], VerdictKind] = {}
     with killed_at_the_end(JUDGE, folder) as process:
@@ -131,9 +134,8 @@ def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
     assert len(later) < 12
     with ReviewStore(folder) as store:
         (rater,) = {verdict.rater for verdict in store.current()}
-    QSettings.setPath(
-        QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(folder.parent / "other")
-    )
+    other = str(folder.parent / "other")
+    monkeypatch.setattr(platformdirs, "user_config_dir", lambda _: other)
     viewer = make_napari_viewer(show=True)
     dock, _ = build(viewer)
     dock.workbench.review.set_rater(rater)

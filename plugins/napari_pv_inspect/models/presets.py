@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import platformdirs
-
+from napari_pv_inspect.user_state import presets_folder
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings import Group, Settings
 from pv_inspect.storage.folders import replace_file
@@ -57,7 +56,7 @@ class PresetStore:
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self.folder = folder or Path(platformdirs.user_config_dir("pv-inspect")) / "presets"
+        self.folder = folder or presets_folder()
 
     def names(self) -> list[str]:
         """Return the names of all presets, in alphabetical order."""

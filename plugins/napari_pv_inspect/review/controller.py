@@ -5,13 +5,15 @@ from __future__ import annotations
 import getpass
 from pathlib import Path
 
-from qtpy.QtCore import QObject, QSettings, QTimer
+from qtpy.QtCore import QObject, QTimer
 from qtpy.QtWidgets import QMessageBox, QWidget
 
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
+from napari_pv_inspect.user_state import UserState, read_user_state, write_user_state
+from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.review import Cell, VerdictKind
 from pv_inspect.settings import Settings
@@ -43,11 +45,7 @@ class Reviewer(QObject):
     def __init__(self, model: WorkbenchModel, history: History) -> None:
         super().__init__()
         self._model = model
-        self._memory = QSettings(
-            QSettings.Format.IniFormat, QSettings.Scope.UserScope, "pv-inspect", "review"
-        )
-        rater = str(self._memory.value("rater", "") or _user())
-        self.state = ReviewModel(history, rater)
+        self.state = ReviewModel(history, read_user_state().rater or _user())
         self.advances = True
         self._close_anyway = False
         self._collecting = QTimer(self)
@@ -114,7 +112,10 @@ class Reviewer(QObject):
     def set_rater(self, rater: str) -> None:
         """Judge as somebody else, also in the next session."""
         self.state.set_rater(rater)
-        self._memory.setValue("rater", self.state.rater)
+        try:
+            write_user_state(UserState(rater=self.state.rater))
+        except InspectionError as error:
+            self._model.notice(str(error), is_error=True)
 
     def saved(self, folder: Path) -> None:
         """Store verdicts in the folder that the inspection was saved to."""
