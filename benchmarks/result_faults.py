@@ -257,10 +257,10 @@ def run_pairs(frames: Path, folder: Path, n: int, rng: np.random.Generator, kill
         time.sleep(rng.uniform(0, seconds))
         if kill:
             first.kill()
-            ends = [first.wait()]
+            ends = [first.storage.wait()]
         else:
             second = command(frames, out, thresholds[1])
-            ends = [first.wait(), second.wait()]
+            ends = [first.storage.wait(), second.storage.wait()]
         good = [t for t, code in zip(thresholds, ends, strict=False) if code in (0, 3)]
         may = good or [last]
         if kill and KILLED in ends:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.random import Generator
 from qtpy.QtCore import QPoint, Qt
 from qtpy.QtTest import QTest
-from workbench_window import Heartbeat, Times, opened, settle
+from workbench_window import Heartbeat, Times, opened, process_events
 
 from napari_pv_inspect.docks.inspect import InspectDock
 from napari_pv_inspect.models.workbench import RunState
@@ -35,8 +35,8 @@ def geometry(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     viewer, dock = opened(options.sequence)
     workbench = dock.workbench
     dock.module.detect.click()
-    settle(120.0, lambda: workbench.model.run_state is RunState.IDLE)
-    settle(2.0)
+    process_events(120.0, lambda: workbench.model.run_state is RunState.IDLE)
+    process_events(2.0)
     dock.points.select.click()
     heart, times, rng = Heartbeat(), Times(), np.random.default_rng(0)
     edits(viewer, dock, options.edits, heart, times, rng)
@@ -64,7 +64,7 @@ def edits(
         begun, cpu = time.perf_counter(), time.thread_time()
         points._move(points.selected_data, points.data[row] + [0.0, *rng.normal(0.0, 1.5, 2)])
         points._drag_start = None
-        settle(2.0, lambda: bool(fitted) and any(at > fitted[0] for at in painted))
+        process_events(2.0, lambda: bool(fitted) and any(at > fitted[0] for at in painted))
         shown = [at for at in painted if fitted and at > fitted[0]]
         if not shown:
             sys.exit(f"Edit {number} was not drawn.")
@@ -72,9 +72,9 @@ def edits(
         times.add("cpu", 1e3 * (time.thread_time() - cpu))
         times.add("blocked", heart.longest_ms)
         heart.restart()
-        settle(10.0, lambda: not workbench.recalibration.busy)
+        process_events(10.0, lambda: not workbench.recalibration.busy)
         times.add("all frames", 1e3 * (time.perf_counter() - begun))
-        settle(1.0, lambda: not workbench.kappa_curve.busy)
+        process_events(1.0, lambda: not workbench.kappa_curve.busy)
         times.add("in thread", heart.longest_ms)
         painted.clear()
 
@@ -84,7 +84,7 @@ def take(viewer: Any, dock: InspectDock, rng: Generator) -> int:
     n, points = dock.workbench.model.inspection.layout.n_crossings, viewer.layers["Crossing points"]
     frame = int(rng.integers(len(dock.workbench.model.sequence)))
     viewer.dims.set_current_step(0, frame)
-    settle(0.4)
+    process_events(0.4)
     row = frame * n + int(rng.integers(n))
     points.selected_data = {row}
     points._set_drag_start(points.selected_data, points.data[row])
@@ -96,12 +96,12 @@ def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Ge
     canvas, points = viewer.window._qt_viewer.canvas.native, viewer.layers["Crossing points"]
     dock.workbench.navigator.to_frames()
     _, row, col = points.data[take(viewer, dock, rng)]
-    settle(1.0)
+    process_events(1.0)
     (_, y, x), zoom = viewer.scene.camera.center, viewer.scene.camera.zoom
     middle = canvas.rect().center()
     start = QPoint(middle.x() + round((col - x) * zoom), middle.y() + round((row - y) * zoom))
     QTest.mouseMove(canvas, start)
-    settle(0.2)
+    process_events(0.2)
     QTest.mousePress(canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, start)
     for k in range(1, 121):
         heart.restart()
@@ -109,13 +109,13 @@ def held(viewer: Any, dock: InspectDock, heart: Heartbeat, times: Times, rng: Ge
         angle = k / 12.0
         way = QPoint(round(9 * np.sin(angle)), round(9 * np.sin(1.3 * angle)))
         QTest.mouseMove(canvas, start + way)
-        settle(1.0 / 60.0)
+        process_events(1.0 / 60.0)
         times.add("held", heart.longest_ms)
         times.add("held cpu", 1e3 * (time.thread_time() - cpu))
     if dock.workbench.live.dragged_rms_px is None:
         sys.exit("The grid did not follow the dragged point.")
     QTest.mouseRelease(canvas, Qt.MouseButton.LeftButton)
-    settle(2.0)
+    process_events(2.0)
 
 
 def kappa(dock: InspectDock, heart: Heartbeat, times: Times) -> None:
@@ -125,7 +125,7 @@ def kappa(dock: InspectDock, heart: Heartbeat, times: Times) -> None:
         heart.restart()
         cpu = time.thread_time()
         slider.setValue(round(place))
-        settle(1.0 / 60.0)
+        process_events(1.0 / 60.0)
         times.add("kappa", heart.longest_ms)
         times.add("kappa cpu", 1e3 * (time.thread_time() - cpu))
 

@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import psutil
-from workbench_window import opened, settle
+from workbench_window import opened, process_events
 
 from napari_pv_inspect.models.workbench import RunState
 
@@ -30,10 +30,10 @@ def memory(options: argparse.Namespace) -> dict[str, object]:
         model.inspection = model.draft = None  # all stages anew
         model.change_settings(magnification=options.magnification, max_iterations=8)
         dock.run.run.click()
-        settle(LIMIT_S, lambda: model.run_state is RunState.IDLE)
+        process_events(LIMIT_S, lambda: model.run_state is RunState.IDLE)
         if model.inspection is None or not model.inspection.complete:
             sys.exit("A run came to no end.")
-        settle(0.5)
+        process_events(0.5)
         gc.collect()
         used = process.memory_info()
         resident.append(used.rss / 2**20)

@@ -19,7 +19,7 @@ from pathlib import Path
 from qtpy.QtCore import QEvent, QObject, QPointF, Qt
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QWidget
-from workbench_window import Heartbeat, Times, opened, settle
+from workbench_window import Heartbeat, Times, opened, process_events
 
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.models.workbench import RunState
@@ -48,16 +48,16 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
     workbench = dock.workbench
     workbench.model.confirm_layout()
     dock.run.run.click()
-    settle(300.0, lambda: workbench.model.run_state is RunState.IDLE)
+    process_events(300.0, lambda: workbench.model.run_state is RunState.IDLE)
     cells = viewer.window.dock_widgets["Cells"]
     times = Times()
     with tempfile.TemporaryDirectory() as place:
         dock.save(Path(place) / "result")
-        settle(60.0, lambda: workbench.review.state.folder is not None)
-        settle(2.0)
+        process_events(60.0, lambda: workbench.review.state.storage.folder is not None)
+        process_events(2.0)
         heart = Heartbeat()
         workbench.model.select_cell((0, 0))
-        settle(0.5)
+        process_events(0.5)
         _judge(workbench, cells, heart, times, options.keys)
         view = large_cell(workbench).view
         painted = Paints(view.cell_panel)
@@ -66,25 +66,25 @@ def review(options: argparse.Namespace) -> dict[str, dict[str, float]]:
             heart.restart()
             painted.count, begun = 0, time.perf_counter()
             QTest.keyClick(cells.view, Qt.Key.Key_Return)
-            settle(2.0, lambda: painted.count > 0)
+            process_events(2.0, lambda: painted.count > 0)
             times.add("opened", 1e3 * (time.perf_counter() - begun))
-            settle(0.5)
+            process_events(0.5)
             times.add("opened blocked", heart.longest_ms)
             QTest.keyClick(view, Qt.Key.Key_Escape)
-            settle(0.5)
+            process_events(0.5)
         cells.open_cell()
-        settle(1.0)
+        process_events(1.0)
         for _ in range(options.keys):
             _focus(view)
             heart.restart()
             painted.count, begun = 0, time.perf_counter()
             QTest.keyClick(view, Qt.Key.Key_Right)
-            settle(2.0, lambda: painted.count > 0)
+            process_events(2.0, lambda: painted.count > 0)
             times.add("cell view", 1e3 * (time.perf_counter() - begun))
-            settle(0.4)
+            process_events(0.4)
             times.add("cell view blocked", heart.longest_ms)
         _paint(view, workbench.review.state, heart, times, painted, options.keys)
-        settle(5.0, lambda: workbench.review.state.pending == 0)
+        process_events(5.0, lambda: workbench.review.state.storage.pending == 0)
         viewer.close()
     return times.summary()
 
@@ -98,13 +98,13 @@ def _judge(workbench: object, cells: object, heart: Heartbeat, times: Times, key
         heart.restart()
         painted.count, begun = 0, time.perf_counter()
         QTest.keyClick(cells.view, kinds[number % len(kinds)].key)
-        if not state.is_pending(cell) and state.verdict(cell) is None:
+        if not state.cells.is_pending(cell) and state.cells.verdict(cell) is None:
             sys.exit("The key gave no verdict.")
-        settle(2.0, lambda: painted.count > 0)
+        process_events(2.0, lambda: painted.count > 0)
         times.add("painted", 1e3 * (time.perf_counter() - begun))
-        settle(5.0, lambda at=cell: not state.is_pending(at))
+        process_events(5.0, lambda at=cell: not state.cells.is_pending(at))
         times.add("stored", 1e3 * (time.perf_counter() - begun))
-        settle(0.2)
+        process_events(0.2)
         times.add("blocked", heart.longest_ms)
 
 
@@ -113,20 +113,20 @@ def _paint(
 ) -> None:
     """Paint short lines; the first one makes the layer of corrected marks."""
     view.bar.drawing.setChecked(True)
-    panel, (height, width) = view.cell_panel, state.subject.tiles.images.shape[2:]
+    panel, (height, width) = view.cell_panel, state.data.subject.tiles.images.shape[2:]
     for number in range(strokes):
         y = (0.1 + 0.8 * number / strokes) * height
         to = panel._transform()
         ends = [to.map(QPointF(x * width, y)).toPoint() for x in (0.2, 0.8)]
         QTest.mousePress(panel, LEFT, NONE, ends[0])
         QTest.mouseMove(panel, ends[1])
-        settle(0.1)
+        process_events(0.1)
         heart.restart()
         painted.count, begun = 0, time.perf_counter()
         QTest.mouseRelease(panel, LEFT, NONE, ends[1])
-        settle(2.0, lambda: painted.count > 0)
+        process_events(2.0, lambda: painted.count > 0)
         times.add("stroke", 1e3 * (time.perf_counter() - begun))
-        settle(0.4)
+        process_events(0.4)
         times.add("stroke blocked", heart.longest_ms)
 
 
@@ -134,7 +134,7 @@ def _focus(widget: QWidget) -> None:
     # Without a window manager nothing makes the window the active one, which keys go to.
     widget.window().activateWindow()
     widget.setFocus()
-    settle(5.0, widget.hasFocus)
+    process_events(5.0, widget.hasFocus)
 
 
 def main(arguments: list[str]) -> None:

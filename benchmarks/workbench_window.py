@@ -22,7 +22,7 @@ SIZE = (1280, 800)
 LIMIT_S = 30.0
 
 
-def settle(seconds: float, until: Callable[[], bool] | None = None) -> None:
+def process_events(seconds: float, until: Callable[[], bool] | None = None) -> None:
     """Let the window work for a while, or until something has happened."""
     end = time.perf_counter() + seconds
     while time.perf_counter() < end and not (until is not None and until()):
@@ -80,8 +80,8 @@ def opened(sequence: Path | None) -> tuple[napari.Viewer, InspectDock]:
     viewer.window._qt_window.resize(*SIZE)
     dock, _ = build(viewer)
     gc.freeze()
-    settle(1.0)
+    process_events(1.0)
     dock.workbench.open(sequence or sample_folder())
-    settle(LIMIT_S, lambda: dock.workbench.model.sequence is not None)
-    settle(1.0)
+    process_events(LIMIT_S, lambda: dock.workbench.model.sequence is not None)
+    process_events(1.0)
     return viewer, dock

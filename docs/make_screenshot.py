@@ -21,7 +21,7 @@ from napari_pv_inspect.sample import sample_folder
 SIZE = (1600, 960)
 
 
-def settle(seconds: float) -> None:
+def process_events(seconds: float) -> None:
     """Let the window work for a while."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -39,17 +39,17 @@ def main(arguments: list[str]) -> None:
     window = viewer.window._qt_window
     window.resize(*SIZE)
     dock, _cells = build(viewer)
-    settle(1.0)
+    process_events(1.0)
     dock.workbench.open(options.sequence or sample_folder())
     while dock.workbench.opener.busy:
-        settle(0.2)
-    settle(1.0)
+        process_events(0.2)
+    process_events(1.0)
     dock.run.run.click()
     while dock.workbench.model.run_state is not RunState.IDLE:
-        settle(0.2)
-    settle(1.0)
+        process_events(0.2)
+    process_events(1.0)
     dock.workbench.navigator.to_all()
-    settle(1.0)
+    process_events(1.0)
     if not window.screen().grabWindow(window.winId()).save(str(options.out)):
         sys.exit(f"{options.out} can't be written.")
     viewer.close()

@@ -258,7 +258,7 @@ def judge(expert: Expert) -> None:
     expert.click_row(gallery.view, gallery.cells.index(0))
     for kind in VERDICTS:
         expert.press(gallery.view, getattr(Qt.Key, f"Key_{kind.key.upper()}"))
-    assert state.progress.judged == len(VERDICTS)
+    assert state.cells.progress.judged == len(VERDICTS)
     expert.click_row(gallery.view, gallery.cells.index(1))
     expert.write(box.note, "from the busbar outwards")
     expert.photograph("5a-gallery")
@@ -271,23 +271,23 @@ def correct_marks(expert: Expert) -> None:
     view = large_cell(expert.workbench).view
     expert.until(lambda: view._frame is not None, "the best frame")
     cell = expert.model.selected_cell
-    before = state.features(cell).crack_length_cells
+    before = state.cells.features(cell).crack_length_cells
     expert.press(view, Qt.Key.Key_D)
     panel = view.cell_panel
-    height, width = state.subject.tiles.images.shape[2:]
+    height, width = state.data.subject.tiles.images.shape[2:]
     to = panel._transform()
     way = [to.map(QPointF(x * width, y * height)).toPoint() for x, y in ((0.2, 0.3), (0.7, 0.45))]
     expert.drag(panel, *way)
-    expert.until(lambda: state.pending == 0, "the stored marks")
+    expert.until(lambda: state.storage.pending == 0, "the stored marks")
     expert.wait(0.3)
-    assert state.features(cell).crack_length_cells > before + 0.2
+    assert state.cells.features(cell).crack_length_cells > before + 0.2
     expert.photograph("5b-cell")
     expert.press(view, Qt.Key.Key_D, Qt.Key.Key_C)
-    assert state.verdict(cell).kind is VerdictKind.CRACK_C
+    assert state.cells.verdict(cell).kind is VerdictKind.CRACK_C
     expert.undo()
-    expert.until(lambda: state.pending == 0, "the undone verdict")
+    expert.until(lambda: state.storage.pending == 0, "the undone verdict")
     expert.wait(0.3)
-    assert state.verdict(cell).kind is VERDICTS[1]
+    assert state.cells.verdict(cell).kind is VERDICTS[1]
     expert.press(view, Qt.Key.Key_Escape)
 
 
@@ -312,15 +312,19 @@ def come_back(
     expert.choose(lambda: expert.click(expert.dock.open_folder), folder)
     expert.until(lambda: expert.model.inspection is not None, "the inspection")
     state = expert.workbench.review.state
-    expert.until(lambda: state.folder is not None and state.pending == 0, "the verdicts", 20.0)
+    expert.until(
+        lambda: state.storage.folder is not None and state.storage.pending == 0,
+        "the verdicts",
+        20.0,
+    )
     expert.wait(1.0)
     assert expert.model.inspection.complete
     assert expert.model.selected_cell == left_at
-    assert state.rater == "Ada"
-    assert {cell: state.verdict(cell).kind for cell in given} == given
-    assert state.note((0, 1)) == "from the busbar outwards"
-    assert state.correction((0, 1)) is not None
-    assert state.module_data.serial_number == "PV-0815"
+    assert state.data.rater == "Ada"
+    assert {cell: state.cells.verdict(cell).kind for cell in given} == given
+    assert state.cells.note((0, 1)) == "from the busbar outwards"
+    assert state.cells.correction((0, 1)) is not None
+    assert state.storage.module_data.serial_number == "PV-0815"
     for name in ("Frames", "Fitted grid", "Crossing points", "Module image", "Cracks"):
         assert name in expert.viewer.layers, name
     expert.photograph("6-reopened")

@@ -86,7 +86,7 @@ class Workbench(QObject):
         self.kappa_curve = KappaCurve(self.model)
         self.tuning = Tuning(self.model, self.history)
         self.live_cell = LiveCell(self.model, self.tuning)
-        self.history.settling.connect(self.live_cell.settle)
+        self.history.committing.connect(self.live_cell.commit)
         self.navigator = Navigator(viewer, self.model, self.module)
         self.navigator.layers_wanted.connect(self._bring_back)
         self.opener = Opener(self.model)
@@ -101,7 +101,7 @@ class Workbench(QObject):
         self.model.preview_changed.connect(self._on_preview)
         self.model.noticed.connect(self._on_notice)
         self.model.sequence_changed.connect(self._on_sequence)
-        # Last: adopting may take another layer away, which napari's list has to be ready for.
+        # Last: taking a layer may remove another, which napari's list must be ready for.
         viewer.layers.events.inserted.connect(self._on_inserted, position="last")
         self._main_window = main_window(viewer)
         self._refused = False
@@ -109,7 +109,7 @@ class Workbench(QObject):
         self._fit_timer = QTimer(self)
         self._fit_timer.setSingleShot(True)
         self._fit_timer.setInterval(50)
-        self._fit_timer.timeout.connect(self._fit)
+        self._fit_timer.timeout.connect(self.fit_if_laid_out)
         self.opener.result_opened.connect(self._on_result)
         self.saver.saved.connect(self._on_saved)
         self.shortcuts: Shortcuts | None = None
@@ -127,14 +127,14 @@ class Workbench(QObject):
             self.shortcuts.add(Key("Ctrl+Z", "Undo", "Everywhere"), self.history.undo)
             self.shortcuts.add(Key("Ctrl+Shift+Z", "Redo", "Everywhere"), self.history.redo)
         for layer in list(viewer.layers):
-            self._adopt(layer)
+            self._take_layer(layer)
 
     def open(self, path: Any) -> None:
         """Open frames or a result folder in the background; what is wrong becomes a notice."""
         self.opener.open(path)
 
     def close(self) -> None:
-        """Stop a run and let go of the viewer; called when its window closes."""
+        """Stop a run and disconnect from the viewer; called when its window closes."""
         if self.viewer not in self._of_viewer:
             return
         self.closing.emit()
@@ -188,7 +188,13 @@ class Workbench(QObject):
         self._canvas_size = (0, 0)
         self._fit_timer.start()
 
-    def _fit(self) -> None:
+    @property
+    def is_fitting(self) -> bool:
+        """Whether the view is still to be fitted."""
+        return self._fit_timer.isActive()
+
+    def fit_if_laid_out(self) -> None:
+        """Show everything if the canvas has kept its size since the last time, else try later."""
         if self.viewer.canvas.size != self._canvas_size:
             self._canvas_size = self.viewer.canvas.size
             self._fit_timer.start()
@@ -218,12 +224,12 @@ class Workbench(QObject):
         self.fit_view()
 
     def _on_inserted(self, event: Any) -> None:
-        self._adopt(event.value)
+        self._take_layer(event.value)
 
-    def _adopt(self, layer: Layer) -> None:
-        if self.frames.adopt(layer):
+    def _take_layer(self, layer: Layer) -> None:
+        if self.frames.take_layer(layer):
             return
-        self.module.adopt(layer)
+        self.module.take_layer(layer)
         if isinstance(result := layer.metadata.get(RESULT_KEY), Inspection):
             self.opener.restore(result)
 

@@ -20,6 +20,7 @@ REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
 from napari_pv_inspect.application import build  # noqa: E402 (Qt reads the platform on import)
 from napari_pv_inspect.docks.gallery import CellsDock  # noqa: E402
 from napari_pv_inspect.docks.inspect import InspectDock  # noqa: E402
+from napari_pv_inspect.napari_internals import main_window  # noqa: E402
 from pv_inspect.inspection.inspection import Inspection, Step  # noqa: E402
 from pv_inspect.pipeline import inspect  # noqa: E402
 from pv_inspect.sequence.sequence import FrameSequence  # noqa: E402
@@ -129,10 +130,10 @@ def saved(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: Qt
     viewer, dock, cells = workbench
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.storage.folder is not None)
     stored(dock, qtbot)
-    viewer.window._qt_window.resize(1280, 800)
-    viewer.window._qt_window.show()
+    main_window(viewer).resize(1280, 800)
+    main_window(viewer).show()
     return viewer, dock, cells
 
 

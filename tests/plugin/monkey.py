@@ -19,7 +19,9 @@ from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.layers.points import PointsLayer
 from napari_pv_inspect.models.history import Action
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import main_window
 from pv_inspect.review import Cell, ReviewStore, VerdictKind
+from tests.plugin.napari_mouse import press, release_at
 from tests.waiting import LONG_S
 
 __all__ = ["Monkey"]
@@ -99,7 +101,7 @@ class Monkey:
         self.dock, self.cells = build(self.viewer)
         self.workbench = self.dock.workbench
         self.workbench.model.change_settings(magnification=2.0, max_iterations=3)
-        self.viewer.window._qt_window.show()
+        main_window(self.viewer).show()
 
     def act(self, count: int) -> None:
         """Do ``count`` things, one after the other."""
@@ -148,9 +150,9 @@ class Monkey:
     def stored(self) -> None:
         """Wait until the verdicts are stored."""
         state = self.workbench.review.state
-        if state.folder is not None:
-            self.until(lambda: state.pending == 0, "stored verdicts")
-        state.collect()
+        if state.storage.folder is not None:
+            self.until(lambda: state.storage.pending == 0, "stored verdicts")
+        state.storage.collect()
 
     def lost(self) -> list[str]:
         """Compare what was given with what is stored."""
@@ -158,7 +160,7 @@ class Monkey:
         found = []
         for folder, given in self.given.items():
             with ReviewStore(folder) as store:
-                mine = self.workbench.review.state.rater
+                mine = self.workbench.review.state.data.rater
                 current = {v.cell: v.kind for v in store.current() if v.rater == mine}
             if current != given:
                 found.append(f"{folder.name}: given {given}, stored {current}")
@@ -174,14 +176,14 @@ class Monkey:
 
     def _do_verdict(self) -> None:
         cell, state = self.workbench.model.selected_cell, self.workbench.review.state
-        if cell is None or state.folder is None or state.subject is None:
+        if cell is None or state.storage.folder is None or state.data.subject is None:
             return
-        if cell not in state.subject.places:
+        if cell not in state.data.subject.places:
             return
         kind = self._any(list(VerdictKind))
         view = self.cells.view
         if view.isVisible() and self._rng.random() < 0.7:
-            self.viewer.window._qt_window.activateWindow()
+            main_window(self.viewer).activateWindow()
             view.setFocus()
             self.wait(0.01)
             if view.hasFocus():
@@ -191,16 +193,16 @@ class Monkey:
 
     def _do_withdraw(self) -> None:
         cell, state = self.workbench.model.selected_cell, self.workbench.review.state
-        if cell is not None and state.folder is not None:
-            self._told(cell, None, self.workbench.review.withdraw)
+        if cell is not None and state.storage.folder is not None:
+            self._told(cell, None, self.workbench.review.commands.withdraw)
 
     def _told(self, cell: Cell, kind: VerdictKind | None, say: Callable[[], Any]) -> None:
-        history, folder = self.workbench.history, self.workbench.review.state.folder
+        history, folder = self.workbench.history, self.workbench.review.state.storage.folder
         given = self.given.setdefault(folder, {})
-        top = history._done[-1] if history._done else None
+        top = history.done[-1] if history.done else None
         before = given.get(cell)
         say()
-        new = history._done[-1] if history._done else None
+        new = history.done[-1] if history.done else None
         if new is not None and new is not top:
             self._kept.append(new)  # its id stays its own
             self._meaning[id(new)] = (folder, cell, before, kind)
@@ -214,17 +216,17 @@ class Monkey:
 
     def _do_undo(self) -> None:
         history = self.workbench.history
-        top = history._undone[-1:]
+        top = history.undone[-1:]
         self._press("Ctrl+Z")
         # A slider that had not settled yet goes first.
-        if (meaning := self._meant(top, history._undone)) is not None:
+        if (meaning := self._meant(top, history.undone)) is not None:
             self._put(meaning[0], meaning[1], meaning[2])
 
     def _do_redo(self) -> None:
         history = self.workbench.history
-        top = history._done[-1:]
+        top = history.done[-1:]
         self._press("Ctrl+Shift+Z")
-        if (meaning := self._meant(top, history._done)) is not None:
+        if (meaning := self._meant(top, history.done)) is not None:
             self._put(meaning[0], meaning[1], meaning[3])
 
     def _meant(
@@ -236,28 +238,32 @@ class Monkey:
         return self._meaning.get(id(after[-1]))
 
     def _press(self, sequence: str) -> None:
-        bound = self.workbench.shortcuts._bound
+        bound = self.workbench.shortcuts.bound
         next(s for key, s in bound.items() if key.sequence == sequence).activated.emit()
 
     def _do_note(self) -> None:
         # Only to cells with a verdict: a note is an edit like a verdict.
         cell, state = self.workbench.model.selected_cell, self.workbench.review.state
-        if cell is not None and state.folder is not None and state.verdict(cell) is not None:
-            kind, text = state.verdict(cell).kind, f"note {self._rng.integers(1000)}"
-            self._told(cell, kind, lambda: state.write_note(cell, text))
+        if (
+            cell is not None
+            and state.storage.folder is not None
+            and state.cells.verdict(cell) is not None
+        ):
+            kind, text = state.cells.verdict(cell).kind, f"note {self._rng.integers(1000)}"
+            self._told(cell, kind, lambda: state.commands.write_note(cell, text))
 
     def _do_brush(self) -> None:
         cell, state = self.workbench.model.selected_cell, self.workbench.review.state
-        mask = None if cell is None or state.folder is None else state.marks(cell)
+        mask = None if cell is None or state.storage.folder is None else state.cells.marks(cell)
         if mask is not None:
             row = int(self._rng.integers(mask.shape[0]))
             mask = mask.copy()
             mask[row] = ~mask[row]
-            state.correct(cell, mask if self._rng.random() < 0.8 else None)
+            state.commands.correct(cell, mask if self._rng.random() < 0.8 else None)
 
     def _do_drag_point(self) -> None:
         points: PointsLayer = self.workbench.points
-        layer, marks = points._slot.layer, points._marks
+        layer, marks = points.layer, points.marks
         if layer is None or marks is None or not layer.editable:
             return
         here = np.flatnonzero(marks.frame == self.workbench.frames.frame)
@@ -266,9 +272,8 @@ class Monkey:
         row = int(self._any(here))
         layer.selected_data = {row}
         start = layer.data[row].copy()
-        layer._set_drag_start(layer.selected_data, start)
-        layer._move(layer.selected_data, start + np.append(0.0, self._rng.normal(0.0, 2.0, 2)))
-        layer._drag_start = None
+        press(layer, start)
+        release_at(layer, start + np.append(0.0, self._rng.normal(0.0, 2.0, 2)))
 
     def _do_points_tool(self) -> None:
         button = self._any([self.dock.points.select, self.dock.points.add, self.dock.points.delete])
@@ -385,11 +390,11 @@ class Monkey:
     def _do_save(self) -> None:
         inspection = self.workbench.model.inspection
         if inspection is not None and inspection.complete:
-            before = self.workbench.review.state.folder
+            before = self.workbench.review.state.storage.folder
             self.dock.result.save.click()
             self.until(lambda: not self.workbench.saver.busy, "the saved result")
             # What was judged goes to another folder as well.
-            after = self.workbench.review.state.folder
+            after = self.workbench.review.state.storage.folder
             # None: other frames that were still being opened came meanwhile.
             if after not in (None, before) and before in self.given:
                 self.given.setdefault(after, {}).update(self.given[before])

@@ -17,6 +17,7 @@ from qtpy.QtCore import Qt
 from napari_pv_inspect.appearance import GRID_COLOUR, MEASURED_COLOUR
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import main_window
 from napari_pv_inspect.sample import CHECKOUT_SAMPLE
 from pv_inspect.sequence.sequence import FrameSequence
 from tests.waiting import LONG_S
@@ -30,7 +31,7 @@ LEFT = Qt.MouseButton.LeftButton
 def app(make_napari_viewer: Callable[..., Any], qtbot: QtBot) -> tuple[Any, Any, Any]:
     """Viewer, controls and gallery in a window of their own."""
     viewer = make_napari_viewer(show=True)
-    viewer.window._qt_window.resize(1500, 940)
+    main_window(viewer).resize(1500, 940)
     dock, cells = build(viewer)
     qtbot.wait(200)
     return viewer, dock, cells
@@ -158,7 +159,7 @@ def build_and_close_mid_run(viewer):
 
     def close(fraction, message):
         if fraction > 0:
-            QTimer.singleShot(0, viewer.window._qt_window.close)
+            QTimer.singleShot(0, main_window(viewer).close)
 
     def run():
         if dock.workbench.model.sequence is None:

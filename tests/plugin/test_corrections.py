@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,9 @@ def shown(workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.Monke
     )
     monkeypatch.setattr(QMessageBox, "question", lambda *_: QMessageBox.StandardButton.Discard)
     viewer, dock, _ = workbench
-    dock.workbench.model.inspection = tiny_inspection
-    dock.workbench.model.inspection_changed.emit(tiny_inspection)
+    dock.workbench.model.revise(tiny_inspection)
     state = dock.workbench.review.state
-    mask = np.zeros_like(state.marks(CELL))
+    mask = np.zeros_like(state.cells.marks(CELL))
     mask[len(mask) // 2, 4:-4] = True
     return viewer, state, mask
 
@@ -40,7 +40,7 @@ def test_the_corrected_cell_leaves_the_layer_of_the_detector_and_undo_brings_it_
     where = tiny_inspection.tiles.grid.cell_slices(*CELL)
     before = detected.copy()
     assert CORRECTED not in viewer.layers
-    state.correct(CELL, mask)
+    state.commands.correct(CELL, mask)
     corrected = np.asarray(viewer.layers[CORRECTED].data)
     np.testing.assert_array_equal(corrected[where], mask)
     assert corrected.sum() == mask.sum()
@@ -49,41 +49,53 @@ def test_the_corrected_cell_leaves_the_layer_of_the_detector_and_undo_brings_it_
     other = tiny_inspection.tiles.grid.cell_slices(0, 0)
     np.testing.assert_array_equal(left[other], detected[other])
     np.testing.assert_array_equal(detected, before)
-    state._history.undo()
+    state.history.undo()
     assert CORRECTED not in viewer.layers
     assert viewer.layers[CRACKS].data is detected
-    state._history.redo()
+    state.history.redo()
     np.testing.assert_array_equal(np.asarray(viewer.layers[CORRECTED].data)[where], mask)
 
 
 def test_marks_are_those_of_the_rater(shown: Shown) -> None:
     viewer, state, mask = shown
-    state.correct(CELL, mask)
+    state.commands.correct(CELL, mask)
     state.set_rater("Ben")
     assert CORRECTED not in viewer.layers
-    state.correct((0, 0), mask)
+    state.commands.correct((0, 0), mask)
     assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
 
 
 def test_deleted_layers_break_nothing(shown: Shown) -> None:
     viewer, state, mask = shown
-    state.correct(CELL, mask)
+    state.commands.correct(CELL, mask)
     viewer.layers.remove(viewer.layers[CRACKS])
     viewer.layers.remove(viewer.layers[CORRECTED])
-    state.correct((0, 0), mask)
+    state.commands.correct((0, 0), mask)
     assert CRACKS not in viewer.layers, "the user does not want it"
     assert np.asarray(viewer.layers[CORRECTED].data).sum() == 2 * mask.sum()
 
 
 def test_a_preview_of_another_image_hides_the_marks(shown: Shown) -> None:
     viewer, state, mask = shown
-    state.correct(CELL, mask)
+    state.commands.correct(CELL, mask)
     workbench = Workbench.of(viewer)
     workbench.module.preview(np.zeros((20, 30), np.float32))
     assert not viewer.layers[CORRECTED].visible
-    workbench.model.inspection_changed.emit(workbench.model.inspection)
+    workbench.model.revise(workbench.model.inspection)
     assert viewer.layers[CORRECTED].visible
     assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
+
+
+def test_marks_stay_on_the_image_of_the_next_run(shown: Shown, tiny_inspection: Inspection) -> None:
+    viewer, state, mask = shown
+    state.commands.correct(CELL, mask)
+    cracks = tiny_inspection.cracks
+    again = replace(cracks, probability=cracks.probability.copy())
+    Workbench.of(viewer).model.revise(replace(tiny_inspection, cracks=again))
+    assert state.storage.folder is None
+    assert np.asarray(viewer.layers[CORRECTED].data).sum() == mask.sum()
+    where = tiny_inspection.tiles.grid.cell_slices(*CELL)
+    assert (np.asarray(viewer.layers[CRACKS].data)[where] == 0).all()
 
 
 def test_the_gallery_paints_corrected_marks_in_another_colour(workbench: Any, shown: Shown) -> None:
@@ -91,7 +103,7 @@ def test_the_gallery_paints_corrected_marks_in_another_colour(workbench: Any, sh
     _, state, mask = shown
 
     def colours() -> set[str]:
-        picture: QImage = cells.cells._picture(CELL).toImage()
+        picture: QImage = cells.cells.picture(CELL).toImage()
         xs, ys = range(picture.width()), range(picture.height())
         pixels = [picture.pixelColor(x, y) for x in xs for y in ys]
         return {
@@ -102,7 +114,7 @@ def test_the_gallery_paints_corrected_marks_in_another_colour(workbench: Any, sh
 
     cells.opacity.setValue(100)
     mask[5:9] = True
-    state.correct(CELL, mask)
+    state.commands.correct(CELL, mask)
     assert colours() == {"blue"}
-    state.correct(CELL, None)
+    state.commands.correct(CELL, None)
     assert "blue" not in colours()

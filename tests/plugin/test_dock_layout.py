@@ -25,6 +25,7 @@ from napari_pv_inspect.docks.gallery import CellsDock
 from napari_pv_inspect.docks.inspect import WIDTH
 from napari_pv_inspect.docks.placing import show_live_cell
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import main_window
 from napari_pv_inspect.widgets.elided import ElidedLabel
 from napari_pv_inspect.widgets.style import style
 from pv_inspect.sequence.sequence import FrameSequence
@@ -45,7 +46,7 @@ def window(
     """
     replayed.inspection = replace(replayed.inspection, warnings=())
     viewer = make_napari_viewer(show=True)
-    main = viewer.window._qt_window
+    main = main_window(viewer)
     dock, _ = build(viewer)
     dock.workbench.model.open(tiny_sequence)
     dock.workbench.model.change_settings(magnification=2.0, max_iterations=5)
@@ -67,7 +68,7 @@ def test_no_page_scrolls_at_1280_x_800(
         dock.workbench.model.change_settings(prior_weight=0.5)
         dock.run.run.click()
         qtbot.waitUntil(lambda: dock.run.progress.value() > 600)
-    main = viewer.window._qt_window
+    main = main_window(viewer)
     assert (main.width(), main.height()) == SIZE
     for page in ("Frames", "Grid", "Image", "Review"):
         dock.show_page(page)
@@ -86,7 +87,7 @@ def test_gallery_live_cell_and_controls_fit_beside_each_other_at_1280_x_800(
     viewer, dock = window
     dock.image.show_live.click()
     qtbot.wait(300)
-    main = viewer.window._qt_window
+    main = main_window(viewer)
     assert (main.width(), main.height()) == SIZE
     for page in ("Frames", "Grid", "Image", "Review"):
         dock.show_page(page)
@@ -152,7 +153,7 @@ def test_there_is_one_primary_button_in_every_state(
 def test_a_long_name_is_cut_in_its_middle_and_whole_in_its_tooltip(workbench: Any) -> None:
     _, dock, _ = workbench
     name = "2026-11-22_string-04_module-0017_forward-bias_" * 4
-    dock._tell(name, "5 frames", f"/data/{name}")
+    dock.show_name(name, "5 frames", f"/data/{name}")
     assert dock.name.text() == name
     assert dock.name.minimumSizeHint().width() < 100
     assert name in dock.name.toolTip()
@@ -174,7 +175,7 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
 ) -> None:
     viewer, dock = window
     dock.show_page("Image")
-    viewer.window._qt_window.activateWindow()
+    main_window(viewer).activateWindow()
     image = dock.image
     dock.workbench.model.change_settings(prior_weight=0.5, psf_sigma_lr_px=0.5)
     image.show_live.setFocus()
@@ -202,7 +203,7 @@ def test_the_tab_key_goes_down_the_image_page_and_is_seen(
 @pytest.mark.xvfb
 def test_the_tab_key_leaves_every_page_downwards(window: tuple[Any, Any], qtbot: QtBot) -> None:
     viewer, dock = window
-    viewer.window._qt_window.activateWindow()
+    main_window(viewer).activateWindow()
     for page in ("Frames", "Grid", "Image", "Review"):
         dock.show_page(page)
         dock.open_folder.setFocus()

@@ -133,19 +133,19 @@ def test_a_tile_carries_its_state(workbench: Any, tiny_inspection: Inspection) -
 
     def corner(state_count: int) -> QImage:
         show(dock, blinded(tiny_inspection, state_count))
-        assert dock.workbench.review.state.state_of((0, 1)) is (
+        assert dock.workbench.review.state.cells.state_of((0, 1)) is (
             CellState.UNDECIDABLE if state_count > 1 else CellState.CLEAN
         )
         option = QStyleOptionViewItem()
         option.rect = (
-            QRect(0, 0, *cells._delegate.tile().toTuple())
-            if hasattr(cells._delegate.tile(), "toTuple")
-            else QRect(0, 0, cells._delegate.tile().width(), cells._delegate.tile().height())
+            QRect(0, 0, *cells.delegate.tile().toTuple())
+            if hasattr(cells.delegate.tile(), "toTuple")
+            else QRect(0, 0, cells.delegate.tile().width(), cells.delegate.tile().height())
         )
         image = QImage(option.rect.size(), QImage.Format.Format_RGB32)
         image.fill(0)
         painter = QPainter(image)
-        cells._delegate.paint(painter, option, cells.cells.index(1))
+        cells.delegate.paint(painter, option, cells.cells.index(1))
         painter.end()
         return image.copy(0, 0, 20, 20)
 
@@ -204,7 +204,7 @@ def test_after_a_failed_run_with_other_rows_the_old_result_is_hidden(
     viewer, dock, cells = workbench
     run(dock, qtbot)
     model, state = dock.workbench.model, dock.workbench.review.state
-    assert state.subject is not None
+    assert state.data.subject is not None
     assert "Module image" in viewer.layers
     model.change_settings(rows=model.settings.rows - 1)
     replayed.error = InspectionError("No frame shows 2 x 4 cells.")
@@ -212,14 +212,14 @@ def test_after_a_failed_run_with_other_rows_the_old_result_is_hidden(
     assert dock.run.message.text() == "No frame shows 2 x 4 cells."
     assert "The run with 2 x 4 cells failed" in dock.result.summary.text()
     assert "clean" not in shown_words(dock)
-    assert state.subject is None
+    assert state.data.subject is None
     assert "is hidden" in cells.view.message
     assert "Module image" not in viewer.layers
     assert "Fitted grid" not in viewer.layers
     assert "grid fits" not in viewer.canvas.overlays.text.text
     assert not dock.result.save.isEnabled()
     model.change_settings(rows=3)
-    assert state.subject is not None
+    assert state.data.subject is not None
     assert {"Module image", "Fitted grid"} <= {layer.name for layer in viewer.layers}
     assert "grid fits" in viewer.canvas.overlays.text.text
     assert "clean" in shown_words(dock)

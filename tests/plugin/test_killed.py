@@ -55,13 +55,13 @@ kinds, given = list(VerdictKind), []
 
 def act(viewer, dock):
     state = dock.workbench.review.state
-    if state.folder is None or state.pending:
+    if state.storage.folder is None or state.storage.pending:
         return
     if given:
         say("stored", *given[-1])
     n = len(given)
     cell, kind = (n % 3, n // 3 % 4), kinds[n * 7 // 12 % len(kinds)]
-    state.give(cell, kind)
+    state.commands.give(cell, kind)
     given.append((*cell, kind.value))
 
 napari_pv_inspect.launch(Path(sys.argv[1]))
@@ -141,9 +141,9 @@ def test_every_verdict_that_was_acknowledged_is_there_after_kill_9(
     dock.workbench.review.set_rater(rater)
     dock.workbench.open(folder)
     state = dock.workbench.review.state
-    qtbot.waitUntil(lambda: state.folder is not None and state.pending == 0)
-    state.collect()
-    assert {cell: state.verdict(cell).kind for cell in found} == found
+    qtbot.waitUntil(lambda: state.storage.folder is not None and state.storage.pending == 0)
+    state.storage.collect()
+    assert {cell: state.cells.verdict(cell).kind for cell in found} == found
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.05, 0.2, 1.0])

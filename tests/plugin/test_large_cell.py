@@ -13,6 +13,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_pv_inspect.docks.large_cell import LargeCell, large_cell
+from napari_pv_inspect.napari_internals import canvas_area, main_window
 from napari_pv_inspect.widgets.panel_grid import areas
 from pv_inspect.inspection.inspection import Inspection
 
@@ -48,9 +49,8 @@ def test_the_large_picture_is_the_largest(width: int, height: int) -> None:
 @pytest.fixture
 def opened(workbench: Any, tiny_inspection: Inspection, qtbot: QtBot) -> Opened:
     viewer, dock, cells = workbench
-    dock.workbench.model.inspection = tiny_inspection
-    dock.workbench.model.inspection_changed.emit(tiny_inspection)
-    window = viewer.window._qt_window
+    dock.workbench.model.revise(tiny_inspection)
+    window = main_window(viewer)
     window.resize(1280, 800)
     window.show()
     qtbot.waitUntil(lambda: cells.isVisible())
@@ -66,7 +66,7 @@ def click(cells: Any, number: int) -> None:
 
 
 def folded(viewer: Any) -> list[bool]:
-    canvas = viewer.window._qt_window._qt_viewer
+    canvas = canvas_area(main_window(viewer))
     return [canvas.dockLayerList.isHidden(), canvas.dockLayerControls.isHidden(), canvas.isHidden()]
 
 
@@ -74,7 +74,7 @@ def test_a_click_shows_the_cell_large_and_back_restores_the_docks(
     opened: Opened, qtbot: QtBot
 ) -> None:
     viewer, _, cells, place = opened
-    before = viewer.window._qt_window._qt_viewer.dockLayerList.size()
+    before = canvas_area(main_window(viewer)).dockLayerList.size()
     height = cells.height()
     click(cells, 1)
     qtbot.waitUntil(place.view.isVisible)
@@ -84,7 +84,7 @@ def test_a_click_shows_the_cell_large_and_back_restores_the_docks(
     assert place.view.cell_panel.width() >= 400
     QTest.mouseClick(place.view.bar.back, LEFT)
     assert folded(viewer) == [False] * 3
-    restored = viewer.window._qt_window._qt_viewer.dockLayerList
+    restored = canvas_area(main_window(viewer)).dockLayerList
     qtbot.waitUntil(lambda: restored.size() == before)
     assert cells.height() == height
 
@@ -93,7 +93,7 @@ def test_enter_folds_the_gallery_too_and_one_key_brings_it_back(
     opened: Opened, qtbot: QtBot
 ) -> None:
     viewer, dock, cells, place = opened
-    viewer.window._qt_window.activateWindow()
+    main_window(viewer).activateWindow()
     cells.view.setFocus()
     qtbot.waitUntil(cells.view.hasFocus)
     QTest.keyClick(cells.view, Qt.Key.Key_Return)
@@ -112,7 +112,7 @@ def test_enter_folds_the_gallery_too_and_one_key_brings_it_back(
 
 def test_what_the_user_brings_back_or_takes_away_stays_so(opened: Opened) -> None:
     viewer, dock, cells, place = opened
-    canvas = viewer.window._qt_window._qt_viewer
+    canvas = canvas_area(main_window(viewer))
     canvas.dockLayerControls.hide()
     click(cells, 1)
     canvas.dockLayerList.show()
@@ -161,7 +161,7 @@ def test_a_button_of_the_result_shows_the_module_and_not_the_cell(
     monkeypatch.setattr(navigator, "_look_at", lambda *at: looked.append(at[2:4]))
     click(cells, 1)
     navigator.to_module()
-    qtbot.waitUntil(lambda: not place._settle.isActive())
+    qtbot.waitUntil(lambda: not place.is_waiting)
     assert not place.is_open
     module, cell = max(looked), min(looked)
     assert looked[-1] == module != cell, "the last look is the one that was asked for"
@@ -171,13 +171,13 @@ def test_a_run_that_ends_does_not_take_the_large_cell_away(
     opened: Opened, tiny_inspection: Inspection, qtbot: QtBot
 ) -> None:
     _, dock, cells, place = opened
-    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive())
+    qtbot.waitUntil(lambda: not dock.workbench.is_fitting)
     click(cells, 1)
     model = dock.workbench.model
     model.inspection = replace(tiny_inspection, cracks=replace(tiny_inspection.cracks))
     with qtbot.waitSignal(cells.filled):
-        model.inspection_changed.emit(model.inspection)
-    qtbot.waitUntil(lambda: not dock.workbench._fit_timer.isActive())
+        model.revise(model.inspection)
+    qtbot.waitUntil(lambda: not dock.workbench.is_fitting)
     assert place.is_open
     dock.workbench.navigator.to_all()
     assert not place.is_open

@@ -11,6 +11,7 @@ from pytestqt.qtbot import QtBot
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import main_window
 from pv_inspect.review import ReviewStore, VerdictKind
 
 LAYERS = ("Frames", "Crossing points", "Fitted grid", "Module image", "Support", "Cracks")
@@ -81,8 +82,8 @@ def test_two_windows_judge_the_same_result_at_once(
         qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending)
     for kind in (VerdictKind.OK, VerdictKind.CRACK_B):
         for dock in docks:
-            dock.workbench.review.state.give((0, 0), kind)
-            dock.workbench.review.state.give((1, 1), kind)
+            dock.workbench.review.state.commands.give((0, 0), kind)
+            dock.workbench.review.state.commands.give((1, 1), kind)
     for viewer in viewers:
         viewer.close()
     found = ReviewStore(tmp_path / "out").current()
@@ -115,7 +116,7 @@ def test_closing_by_code_asks_once_before_anything_is_closed(
 ) -> None:
     viewer = make_napari_viewer()
     dock, _ = build(viewer)
-    workbench, window = dock.workbench, viewer.window._qt_window
+    workbench, window = dock.workbench, main_window(viewer)
     canvas_class = type(window._qt_viewer)
     close_canvas, answers, closed = canvas_class.closeEvent, [True, False], []
 

@@ -46,8 +46,7 @@ def live(workbench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[Ins
     """The workbench with a whole inspection and the live cell open."""
     _, dock, _ = workbench
     model = dock.workbench.model
-    model.inspection = tiny_inspection
-    model.inspection_changed.emit(tiny_inspection)
+    model.revise(tiny_inspection)
     shown = show_live_cell(dock.workbench, dock)
     dock.workbench.live_cell.set_active(True)
     qtbot.waitUntil(lambda: has_ended(shown))
@@ -55,7 +54,7 @@ def live(workbench: Bench, tiny_inspection: Inspection, qtbot: Any) -> tuple[Ins
 
 
 def has_ended(live: LiveDock) -> bool:
-    picture = live._picture
+    picture = live.picture
     return (
         picture is not None
         and picture.finished
@@ -65,7 +64,7 @@ def has_ended(live: LiveDock) -> bool:
 
 def settled(qtbot: Any, live: LiveDock) -> None:
     qtbot.waitUntil(lambda: has_ended(live))
-    live.workbench.live_cell.settle()
+    live.workbench.live_cell.commit()
 
 
 def test_the_first_cell_is_the_most_suspicious_one(tiny_inspection: Inspection) -> None:
@@ -110,7 +109,7 @@ def test_the_live_cell_follows_a_slider(live: tuple[InspectDock, LiveDock], qtbo
         dock.image.form["prior_weight"].slider.setValue(position)
         qtbot.waitUntil(lambda: has_ended(shown))
         assert f"lambda {dock.image.form['prior_weight'].value():.3g}" in shown.caption.text()
-        roughness.append(float(np.abs(np.diff(shown._picture.image, 2, axis=1)).mean()))
+        roughness.append(float(np.abs(np.diff(shown.picture.image, 2, axis=1)).mean()))
     # A prior a hundred times as strong leaves less curvature.
     assert roughness[1] < 0.9 * roughness[0]
 
@@ -158,9 +157,9 @@ def test_it_is_compared_with(
     dock.workbench.model.change_settings(prior_weight=5.0)
     settled(qtbot, shown)
     shown.compare(source)
-    qtbot.waitUntil(lambda: shown.view._pictures[0][0] is not None)
+    qtbot.waitUntil(lambda: shown.view.pictures[0][0] is not None)
     shown.compare(Source.NOTHING)
-    assert shown.view._pictures[0][0] is None
+    assert shown.view.pictures[0][0] is None
 
 
 def test_a_trial_of_another_cell_is_rendered_for_this_one(
@@ -171,7 +170,7 @@ def test_a_trial_of_another_cell_is_rendered_for_this_one(
     trial = dock.workbench.tuning.trials[0]
     other = (2, 3) if trial.picture.cell != (2, 3) else (0, 0)
     dock.workbench.model.select_cell(other)
-    qtbot.waitUntil(lambda: shown._picture.cell == other)
+    qtbot.waitUntil(lambda: shown.picture.cell == other)
     cell = dock.workbench.live_cell
     qtbot.waitUntil(lambda: cell.reference(trial) is not None)
     assert cell.reference(trial).cell == other
@@ -184,7 +183,7 @@ def test_a_trial_is_named_in_place(live: tuple[InspectDock, LiveDock], qtbot: An
     assert shown.trials.trials.setData(index, "good")
     assert index.data() == "good"
     dock.workbench.history.undo()
-    assert index.data() == "first look"
+    assert index.data() == "first setting"
 
 
 def test_two_selected_trials_are_compared_with_each_other(
@@ -196,13 +195,13 @@ def test_two_selected_trials_are_compared_with_each_other(
     settled(qtbot, shown)
     shown.trials.view.selectAll()
     assert (shown.against.choice, shown.shown.choice) == (1, 2)
-    assert texts(shown) == ["first look", "lambda 5"]
+    assert texts(shown) == ["first setting", "lambda 5"]
     shown.trials.view.setCurrentIndex(shown.trials.trials.index(1))
     assert texts(shown) == ["lambda 5", "live"]
 
 
 def texts(live: LiveDock) -> list[str]:
-    return [text for _, text in live.view._pictures]
+    return [text for _, text in live.view.pictures]
 
 
 def test_any_trial_is_compared_with_bicubic_and_with_any_other(
@@ -214,18 +213,18 @@ def test_any_trial_is_compared_with_bicubic_and_with_any_other(
         dock.workbench.model.change_settings(prior_weight=weight)
         settled(qtbot, shown)
     in_list = [shown.against.itemText(k) for k in range(shown.against.count())]
-    assert in_list[-3:] == ["first look", "lambda 5", "lambda 7"]
+    assert in_list[-3:] == ["first setting", "lambda 5", "lambda 7"]
     shown.compare(Source.BICUBIC, 2)
     qtbot.waitUntil(lambda: texts(shown)[0].startswith("bicubic, "))
     assert texts(shown)[1] == "lambda 5"
     shown.compare(3, 1)
-    assert texts(shown) == ["lambda 7", "first look"]
-    other = (2, 3) if shown._picture.cell != (2, 3) else (0, 0)
+    assert texts(shown) == ["lambda 7", "first setting"]
+    other = (2, 3) if shown.picture.cell != (2, 3) else (0, 0)
     dock.workbench.model.select_cell(other)
     cell = dock.workbench.live_cell
     first, _, third = dock.workbench.tuning.trials
     qtbot.waitUntil(lambda: cell.reference(first) is not None and cell.reference(third) is not None)
-    assert texts(shown) == ["lambda 7", "first look"]
+    assert texts(shown) == ["lambda 7", "first setting"]
     # Who moves a control wants to see what it does.
     dock.workbench.model.change_settings(prior_weight=6.0)
     assert texts(shown) == ["lambda 7", "live"]
@@ -257,10 +256,10 @@ def test_the_comparison_is_driven_by_keys(live: tuple[InspectDock, LiveDock]) ->
 def test_it_computes_only_while_it_is_seen(live: tuple[InspectDock, LiveDock], qtbot: Any) -> None:
     dock, shown = live
     dock.workbench.live_cell.set_active(False)
-    before = shown._picture
+    before = shown.picture
     dock.workbench.model.change_settings(prior_weight=7.0)
     qtbot.wait(300)
-    assert shown._picture is before
+    assert shown.picture is before
     dock.workbench.live_cell.set_active(True)
     qtbot.waitUntil(lambda: has_ended(shown))
 
@@ -319,10 +318,11 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
         if given[0] is not before:
             yield from render(self, *given)
             return
-        begun.set()
-        go_on.wait(LONG_S)
         for picture in render(self, *given):
-            late.append(picture)
+            if picture is not None:
+                begun.set()
+                assert go_on.wait(LONG_S)
+                late.append(picture)
             yield picture
 
     monkeypatch.setattr(CellRenderer, "pictures", slow)
@@ -330,8 +330,7 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
     dock.workbench.live_cell.pictured.connect(arrived.append)
     model.change_settings(prior_weight=4.0)
     assert begun.wait(LONG_S)
-    model.inspection = replace(before, registration=replace(before.registration))
-    model.inspection_changed.emit(model.inspection)
+    model.revise(replace(before, registration=replace(before.registration)))
     go_on.set()
     qtbot.waitUntil(lambda: bool(arrived) and arrived[-1].finished)
     assert any(picture is not None for picture in late)
@@ -341,7 +340,7 @@ def test_a_picture_of_a_geometry_that_is_gone_is_not_shown(
 def test_without_a_run_it_says_what_is_needed(workbench: Bench) -> None:
     _, dock, _ = workbench
     shown = show_live_cell(dock.workbench, dock)
-    assert "Run once first" in shown.view._message
+    assert "Run once first" in shown.view.message
     assert show_live_cell(dock.workbench, dock) is shown
 
 
@@ -353,11 +352,11 @@ def test_a_result_without_its_frames_says_where_they_were_looked_for(
     write_result(tiny_inspection, tmp_path / "out")
     why = "The frames are no longer at /somewhere."
     dock.workbench.model.open_result(read_result(tmp_path / "out"), why)
-    assert shown.view._message == why
-    assert dock.image.plot._why == why
+    assert shown.view.message == why
+    assert dock.image.plot.why == why
     dock.workbench.model.open(tiny_inspection.sequence)
-    assert "Run once first" in shown.view._message
-    assert "Run once" in dock.image.plot._why
+    assert "Run once first" in shown.view.message
+    assert "Run once" in dock.image.plot.why
 
 
 def test_the_view_is_fitted_once_the_canvas_has_its_size(
@@ -365,27 +364,33 @@ def test_the_view_is_fitted_once_the_canvas_has_its_size(
 ) -> None:
     _, dock, _ = workbench
     own, fitted = dock.workbench, []
-    qtbot.waitUntil(lambda: not own._fit_timer.isActive())
+    qtbot.waitUntil(lambda: not own.is_fitting)
     canvas = own.viewer.canvas
     monkeypatch.setattr(own.navigator, "fit", lambda: fitted.append(tuple(canvas.size)))
     for _ in range(2):  # when it is made, and when it comes back
         show_live_cell(own, dock)
         canvas.size = (300, 400)
-        own._fit()
+        own.fit_if_laid_out()
         canvas.size = (300, 280)
-        own._fit()
+        own.fit_if_laid_out()
         assert fitted == []
         qtbot.waitUntil(lambda: bool(fitted))
         fitted.clear()
 
 
-def test_the_window_closes_while_the_live_cell_is_at_work(
-    live: tuple[InspectDock, LiveDock],
+def test_a_workbench_that_closes_while_the_live_cell_is_at_work_shows_nothing_more(
+    live: tuple[InspectDock, LiveDock], qtbot: Any
 ) -> None:
     dock, _ = live
+    arrived: list[Any] = []
+    dock.workbench.live_cell.pictured.connect(arrived.append)
+    dock.workbench.live_cell.failed.connect(arrived.append)
     dock.workbench.model.change_settings(prior_weight=3.0)
     dock.workbench.close()
+    arrived.clear()
     dock.workbench.model.change_settings(prior_weight=4.0)
+    qtbot.wait(300)
+    assert arrived == []
 
 
 def test_the_automatic_lambda_of_another_prior_is_the_one_the_live_cell_uses(
@@ -435,7 +440,7 @@ def test_the_divider_parts_the_two_pictures(make_napari_viewer: Callable[..., An
     QTest.keyRelease(view, Qt.Key.Key_Space)
     assert grey_at(view, 150) == 255
     view.set_flicker(True)
-    view._on_flicker()
+    view.alternate()
     assert grey_at(view, 150) == 0
     view.set_flicker(False)
     assert grey_at(view, 150) == 255

@@ -17,6 +17,7 @@ from qtpy.QtWidgets import QApplication
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import canvas_area, main_window
 from napari_pv_inspect.reader import read_result, read_sequence
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -184,7 +185,7 @@ def test_a_stored_cell_that_the_module_has_not_is_ignored(
 def drop(viewer: Any, *paths: Path) -> None:
     mime = QMimeData()
     mime.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
-    target = viewer.window._qt_window._qt_viewer
+    target = canvas_area(main_window(viewer))
     more = (Qt.DropAction.CopyAction, mime, Qt.MouseButton.LeftButton, Qt.KeyboardModifier(0))
     # Qt delivers a drop only where the drag was let in.
     QApplication.sendEvent(target, QDragEnterEvent(QPoint(5, 5), *more))

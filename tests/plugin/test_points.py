@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,17 @@ from qtpy.QtCore import Qt
 from napari_pv_inspect import appearance
 from napari_pv_inspect.layers.points import COLOURS
 from napari_pv_inspect.models.workbench import RunState
+from pv_inspect.calibration.calibrate import calibrate
 from pv_inspect.settings import Stage
+from tests.plugin.napari_mouse import move_to, press, release_at
+from tests.waiting import LONG_S
 
 
 @pytest.fixture
 def detected(workbench: Any, replayed: Any, qtbot: QtBot) -> tuple[Any, Any, Any]:
     """Viewer, dock and points layer with the whole tiny inspection open."""
     viewer, dock, _ = workbench
-    dock.workbench.model.inspection = replayed.inspection
-    dock.workbench.model.inspection_changed.emit(replayed.inspection)
+    dock.workbench.model.revise(replayed.inspection)
     viewer.dims.set_current_step(0, 2)
     dock.points.select.click()
     return viewer, dock, viewer.layers["Crossing points"]
@@ -32,7 +35,7 @@ def rest(dock: Any, qtbot: QtBot) -> None:
 
 
 def row_of(dock: Any, frame: int, crossing: int) -> int:
-    marks = dock.workbench.points._marks
+    marks = dock.workbench.points.marks
     return int(np.flatnonzero((marks.frame == frame) & (marks.crossing == crossing))[0])
 
 
@@ -40,11 +43,9 @@ def drag(layer: Any, rows: list[int], by: tuple[float, float]) -> None:
     """What napari does between the press and the release of the button."""
     layer.selected_data = set(rows)
     centre = layer.data[rows].mean(axis=0)
-    layer._set_drag_start(layer.selected_data, centre)
-    with layer.events.data.blocker():
-        layer._move(layer.selected_data, centre + np.array([0.0, by[0] / 2, by[1] / 2]))
-    layer._move(layer.selected_data, centre + np.array([0.0, *by]))
-    layer._drag_start = None
+    press(layer, centre)
+    move_to(layer, centre + np.array([0.0, by[0] / 2, by[1] / 2]))
+    release_at(layer, centre + np.array([0.0, *by]))
 
 
 def test_a_dragged_point_is_an_edit_that_the_fit_follows_and_undo_takes_back(
@@ -83,7 +84,7 @@ def test_keys_undo_while_the_canvas_or_the_dock_has_the_focus(detected: Any, qtb
     viewer, dock, layer = detected
     drag(layer, [row_of(dock, 2, 6)], (3.0, -2.0))
     shortcut = next(
-        s for key, s in dock.workbench.shortcuts._bound.items() if key.sequence == "Ctrl+Z"
+        s for key, s in dock.workbench.shortcuts.bound.items() if key.sequence == "Ctrl+Z"
     )
     shortcut.activated.emit()
     assert not dock.workbench.editor.edits
@@ -150,11 +151,10 @@ def test_changing_the_frame_in_the_middle_of_a_drag_takes_it_back(detected: Any)
     viewer, dock, layer = detected
     before, row = layer.data.copy(), row_of(dock, 2, 6)
     layer.selected_data = {row}
-    layer._set_drag_start(layer.selected_data, layer.data[row])
-    with layer.events.data.blocker():
-        layer._move(layer.selected_data, layer.data[row] + [0.0, 9.0, 9.0])
-        assert not np.array_equal(layer.data, before)
-        viewer.dims.set_current_step(0, 3)
+    press(layer, layer.data[row])
+    move_to(layer, layer.data[row] + [0.0, 9.0, 9.0])
+    assert not np.array_equal(layer.data, before)
+    viewer.dims.set_current_step(0, 3)
     np.testing.assert_array_equal(layer.data, before)
     assert not layer.selected_data
     assert not dock.workbench.editor.edits
@@ -234,10 +234,25 @@ def test_a_new_sequence_forgets_all_edits(detected: Any, tiny_sequence: Any, qtb
     qtbot.wait(400)
 
 
-def test_closing_the_window_during_the_fit_of_all_frames_works(detected: Any, qtbot: QtBot) -> None:
-    viewer, dock, layer = detected
+def test_a_fit_of_all_frames_is_dropped_if_the_window_closes_meanwhile(
+    detected: Any, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, dock, layer = detected
+    begun, go_on, ended = Event(), Event(), Event()
+
+    def slow(*given: Any) -> Any:
+        begun.set()
+        assert go_on.wait(LONG_S)
+        fit = calibrate(*given)
+        ended.set()
+        return fit
+
+    monkeypatch.setattr("napari_pv_inspect.live.recalibration.calibrate", slow)
     drag(layer, [row_of(dock, 2, 6)], (3.0, 0.0))
-    qtbot.wait(310)
+    qtbot.waitUntil(begun.is_set)
     dock.workbench.close()
-    qtbot.wait(300)
-    assert viewer is not None
+    go_on.set()
+    assert ended.wait(LONG_S)
+    qtbot.wait(50)
+    assert not dock.workbench.recalibration.busy
+    assert dock.workbench.model.inspection.calibration is None

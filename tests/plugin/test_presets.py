@@ -1,4 +1,4 @@
-"""Presets: by name on the user's shelf, or in files."""
+"""Presets: in the user's folder, or in files."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ def test_a_preset_that_can_not_be_written_leaves_the_old_one(tmp_path: Path) -> 
 
 
 def test_presets_are_kept_by_name(tmp_path: Path) -> None:
-    shelf = PresetStore(tmp_path / "not" / "yet")
-    assert shelf.names() == []
-    assert shelf.save("  Für Modul 4, scharf & fein ", SHARP) == "Für Modul 4, scharf & fein"
-    shelf.save("coarse", Settings(magnification=2.0))
-    assert shelf.names() == ["coarse", "Für Modul 4, scharf & fein"]
-    assert same(shelf.read("Für Modul 4, scharf & fein"), SHARP)
-    shelf.delete("coarse")
-    shelf.delete("coarse")
-    assert shelf.names() == ["Für Modul 4, scharf & fein"]
+    store = PresetStore(tmp_path / "not" / "yet")
+    assert store.names() == []
+    assert store.save("  Für Modul 4, scharf & fein ", SHARP) == "Für Modul 4, scharf & fein"
+    store.save("coarse", Settings(magnification=2.0))
+    assert store.names() == ["coarse", "Für Modul 4, scharf & fein"]
+    assert same(store.read("Für Modul 4, scharf & fein"), SHARP)
+    store.delete("coarse")
+    store.delete("coarse")
+    assert store.names() == ["Für Modul 4, scharf & fein"]
 
 
 def test_the_same_name_in_capitals_replaces_a_preset(tmp_path: Path) -> None:
-    shelf = PresetStore(tmp_path)
-    shelf.save("sharp", Settings())
-    assert shelf.known(" SHARP ") == "sharp"
-    shelf.save("Sharp", SHARP)
-    assert shelf.names() == ["Sharp"]
-    assert same(shelf.read("Sharp"), SHARP)
+    store = PresetStore(tmp_path)
+    store.save("sharp", Settings())
+    assert store.known(" SHARP ") == "sharp"
+    store.save("Sharp", SHARP)
+    assert store.names() == ["Sharp"]
+    assert same(store.read("Sharp"), SHARP)
 
 
 @pytest.mark.parametrize(
@@ -70,17 +70,17 @@ def test_a_name_that_no_file_can_have_is_one_sentence(name: str, tmp_path: Path)
 
 @pytest.fixture
 def menu(qtbot: Any, tmp_path: Path) -> PresetMenu:
-    """The button with an empty shelf."""
+    """The button without presets."""
     model = WorkbenchModel()
     button = PresetMenu(model, Tuning(model, History()))
-    button.shelf = PresetStore(tmp_path)
+    button.store = PresetStore(tmp_path)
     qtbot.addWidget(button)
     return button
 
 
 def notices(menu: PresetMenu) -> list[str]:
     said: list[str] = []
-    menu._model.noticed.connect(lambda text, _: said.append(text))
+    menu.model.noticed.connect(lambda text, _: said.append(text))
     return said
 
 
@@ -94,10 +94,10 @@ def entries(menu: PresetMenu) -> dict[str, bool]:
 
 
 def test_to_apply_is_one_edit_and_leaves_the_module_alone(menu: PresetMenu) -> None:
-    model, history = menu._model, menu._tuning._history
-    menu.shelf.save("smooth", Settings(prior="tikhonov", magnification=3.0))
+    model, history = menu.model, menu.tuning.history
+    menu.store.save("smooth", Settings(prior="tikhonov", magnification=3.0))
     model.change_settings(rows=6, cols=10, prior_weight=2.0)
-    menu._tuning.settle()
+    menu.tuning.commit()
     menu.apply("smooth")
     assert (model.settings.prior, model.settings.prior_weight) == ("tikhonov", None)
     assert model.settings.rows == 6
@@ -112,7 +112,7 @@ def test_to_apply_is_one_edit_and_leaves_the_module_alone(menu: PresetMenu) -> N
 
 def test_the_menu_lists_the_presets_and_marks_what_is_shown(menu: PresetMenu) -> None:
     assert entries(menu) == {"Automatic": True}
-    menu._model.change_settings(prior_weight=2.0)
+    menu.model.change_settings(prior_weight=2.0)
     menu.keep("strong & fine")
     assert entries(menu) == {"Automatic": False, "strong && fine": True}
     menu.apply("Automatic")
@@ -123,7 +123,7 @@ def test_the_menu_lists_the_presets_and_marks_what_is_shown(menu: PresetMenu) ->
 
 
 def test_a_damaged_preset_is_listed_and_one_sentence(menu: PresetMenu) -> None:
-    (menu.shelf.folder / "broken.toml").write_text("= 3")
+    (menu.store.folder / "broken.toml").write_text("= 3")
     said = notices(menu)
     assert entries(menu) == {"Automatic": True, "broken": False}
     menu.apply("broken")
@@ -139,17 +139,17 @@ def test_to_replace_or_to_delete_is_asked_first(
     answer = QMessageBox.StandardButton.Yes if yes else QMessageBox.StandardButton.No
     monkeypatch.setattr(QMessageBox, "question", lambda *_: answer)
     monkeypatch.setattr(QInputDialog, "getText", lambda *_: ("mine", True))
-    menu._on_save()
-    assert menu.shelf.names() == ["mine"]
-    menu._model.change_settings(prior="btv")
-    menu._on_save()
-    assert (menu.shelf.read("mine").prior == "btv") is yes
-    menu._on_delete("mine")
-    assert menu.shelf.names() == ([] if yes else ["mine"])
+    menu.ask_to_keep()
+    assert menu.store.names() == ["mine"]
+    menu.model.change_settings(prior="btv")
+    menu.ask_to_keep()
+    assert (menu.store.read("mine").prior == "btv") is yes
+    menu.ask_to_remove("mine")
+    assert menu.store.names() == ([] if yes else ["mine"])
 
 
 def test_files_are_loaded_and_written(menu: PresetMenu, tmp_path: Path) -> None:
-    model = menu._model
+    model = menu.model
     model.change_settings(prior="btv", psf_sigma_lr_px=0.5)
     menu.export(tmp_path / "mine")
     model.change_settings(prior="sparse_curvature", psf_sigma_lr_px=None)

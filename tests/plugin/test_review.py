@@ -20,6 +20,7 @@ from napari_pv_inspect.docks.cell import NO_FRAMES, CellDock
 from napari_pv_inspect.docks.gallery_list import BAR, GAP, cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.live.single_frame import contours
+from napari_pv_inspect.napari_internals import main_window
 from napari_pv_inspect.review.controller import LITTLE_PATIENCE_S
 from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.workbench import Workbench
@@ -81,7 +82,7 @@ def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
     note: QLineEdit = dock.verdict.note
     note.setFocus()
     QTest.keyClicks(note, "back of a crack")
-    assert dock.workbench.review.state.progress.judged == 0
+    assert dock.workbench.review.state.cells.progress.judged == 0
     press(cells.view, "b", qtbot)
     stored(dock, qtbot)
     (verdict,) = ReviewStore(tmp_path / "out").current()
@@ -93,7 +94,7 @@ def test_letters_in_the_note_are_no_verdicts_and_the_note_goes_with_the_next(
 def test_the_gallery_filters_by_verdict(saved: Any, qtbot: QtBot) -> None:
     _, dock, cells = saved
     review = dock.workbench.review.state
-    review.give((0, 2), VerdictKind.CRACK_A)
+    review.commands.give((0, 2), VerdictKind.CRACK_A)
     cells.filter.setCurrentText("crack A")
     assert [cells.cells.cell(cells.cells.index(k)) for k in range(cells.cells.rowCount())] == [
         (0, 2)
@@ -110,10 +111,10 @@ def test_the_gallery_filters_by_verdict(saved: Any, qtbot: QtBot) -> None:
 
 def test_opacity_and_threshold_only_repaint(saved: Any) -> None:
     _, dock, cells = saved
-    before = dock.workbench.review.state.features((0, 0))
+    before = dock.workbench.review.state.cells.features((0, 0))
 
     def painted() -> int:
-        picture = cells.cells._picture((1, 1)).toImage()
+        picture = cells.cells.picture((1, 1)).toImage()
         colours = (
             picture.pixelColor(x, y)
             for x in range(picture.width())
@@ -127,7 +128,7 @@ def test_opacity_and_threshold_only_repaint(saved: Any) -> None:
     assert painted() > few
     cells.opacity.setValue(0)
     assert painted() == 0
-    assert dock.workbench.review.state.features((0, 0)) is before
+    assert dock.workbench.review.state.cells.features((0, 0)) is before
 
 
 def test_the_first_verdict_on_an_unsaved_inspection_asks_to_save_and_is_kept(
@@ -168,7 +169,7 @@ def test_closing_waits_for_what_is_not_stored_yet(
 
     monkeypatch.setattr(ReviewStore, "give", slow)
     for col in range(4):
-        dock.workbench.review.state.give((0, col), VerdictKind.OK)
+        dock.workbench.review.state.commands.give((0, col), VerdictKind.OK)
     viewer.close()
     assert len(ReviewStore(tmp_path / "out").current()) == 4
 
@@ -187,9 +188,9 @@ def test_if_nothing_can_be_stored_the_user_decides_about_closing(
     monkeypatch.setattr(ReviewStore, "give", full)
     answers = [QMessageBox.StandardButton.Cancel, QMessageBox.StandardButton.Discard]
     monkeypatch.setattr(QMessageBox, "question", lambda *_: answers.pop(0))
-    dock.workbench.review.state.give((0, 0), VerdictKind.OK)
-    viewer.window._qt_window.close()
-    assert viewer.window._qt_window.isVisible(), "Cancel keeps the window"
+    dock.workbench.review.state.commands.give((0, 0), VerdictKind.OK)
+    main_window(viewer).close()
+    assert main_window(viewer).isVisible(), "Cancel keeps the window"
     assert Workbench.of(viewer) is dock.workbench
     viewer.close()
     assert answers == []
@@ -209,11 +210,11 @@ def test_a_failure_that_is_known_is_asked_about_at_once(
     discard = QMessageBox.StandardButton.Discard
     monkeypatch.setattr(QMessageBox, "question", lambda *_: discard)
     state = dock.workbench.review.state
-    state.give((0, 0), VerdictKind.OK)
-    qtbot.waitUntil(lambda: state.is_failing)
+    state.commands.give((0, 0), VerdictKind.OK)
+    qtbot.waitUntil(lambda: state.storage.is_failing)
     patience: list[float] = []
-    wait = state.wait
-    monkeypatch.setattr(state, "wait", lambda s: patience.append(s) or wait(s))
+    wait = state.storage.wait
+    monkeypatch.setattr(state.storage, "wait", lambda s: patience.append(s) or wait(s))
     viewer.close()
     assert patience == [LITTLE_PATIENCE_S]
 
@@ -252,7 +253,7 @@ def test_the_camera_stays_when_the_gallery_only_lists_again(
     looked: list[tuple[int, int]] = []
     monkeypatch.setattr(dock.workbench.navigator, "to_cell", lambda *cell: looked.append(cell))
     cells.zoom.setValue(120)
-    cells._fit()
+    cells.fit()
     cells.order.setCurrentText("by crack score")
     assert looked == []
     dock.workbench.model.select_cell((0, 2))
@@ -271,7 +272,7 @@ def test_verdicts_come_back_with_a_result_folder(
     dock, cells = build(viewer)
     dock.workbench.model.open_result(read_result(tmp_path / "out"))
     stored(dock, qtbot)
-    assert [v.rater for v in dock.workbench.review.state.others((1, 2))] == ["Ben"]
+    assert [v.rater for v in dock.workbench.review.state.cells.others((1, 2))] == ["Ben"]
     dock.workbench.model.select_cell((1, 2))
     assert "Ben: crack B (seen)" in cells.caption.text()
     dock.workbench.review.set_rater("Ben")
@@ -289,20 +290,20 @@ def large(saved: Any, qtbot: QtBot) -> tuple[Any, CellDock]:
     dock.workbench.model.select_cell((1, 1))
     cells.open_cell()
     view = large_cell(dock.workbench).view
-    qtbot.waitUntil(lambda: view._frame is not None)
+    qtbot.waitUntil(lambda: view.frame is not None)
     return dock, view
 
 
 def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
     dock, view = large
-    assert all(panel._image is not None for panel in view.panels)
+    assert all(panel.image is not None for panel in view.panels)
     inspection = dock.workbench.model.inspection
     motion = inspection.reconstruction.motion
     frame = best_frame(inspection.registration, inspection.sequence.shape, (1, 1), motion)
     assert frame is not None
     assert inspection.sequence.names[frame] in view.frame_panel.title
     tile = inspection.tiles.images[1, 1]
-    bicubic = view._frame.bicubic
+    bicubic = view.frame.bicubic
     inner = slice(8, -8), slice(8, -8)
     assert np.corrcoef(tile[inner].ravel(), bicubic[inner].ravel())[0, 1] > 0.8
 
@@ -314,7 +315,7 @@ def test_arrow_keys_go_to_other_cells(large: Any, qtbot: QtBot) -> None:
     press(view, Qt.Key.Key_Down, qtbot)
     assert dock.workbench.model.selected_cell == (2, 2)
     press(view, "k", qtbot)
-    assert dock.workbench.review.state.verdict((2, 2)).kind is VerdictKind.OK
+    assert dock.workbench.review.state.cells.verdict((2, 2)).kind is VerdictKind.OK
     stored(dock, qtbot)
 
 
@@ -342,7 +343,7 @@ def test_all_pictures_zoom_and_move_together(large: Any) -> None:
     QTest.mouseMove(panel, start + QPoint(10, 0))
     QTest.mouseRelease(panel, LEFT, NONE, start + QPoint(10, 0))
     assert view.shared.x < 0.5
-    shown = [p.to_picture().map(p._picture_area().center()) for p in view.panels]
+    shown = [p.to_picture().map(p.picture_area().center()) for p in view.panels]
     for other in shown[1:]:
         assert (other.x(), other.y()) == pytest.approx((shown[0].x(), shown[0].y()), abs=0.5)
 
@@ -350,8 +351,8 @@ def test_all_pictures_zoom_and_move_together(large: Any) -> None:
 def draw(view: CellDock, button: Any, y: float) -> None:
     """Draw a line across the middle of the cell; ``y`` in parts of its height."""
     panel = view.cell_panel
-    h, w = view._review.subject.tiles.images.shape[2:]
-    start, end = (panel._transform().map(QPointF(x * w, y * h)).toPoint() for x in (0.2, 0.8))
+    h, w = panel.image.height(), panel.image.width()
+    start, end = (panel.transform().map(QPointF(x * w, y * h)).toPoint() for x in (0.2, 0.8))
     QTest.mousePress(panel, button, NONE, start)
     QTest.mouseMove(panel, end)
     QTest.mouseRelease(panel, button, NONE, end)
@@ -362,33 +363,33 @@ def test_brush_and_eraser_change_the_measured_length_and_can_be_undone(
 ) -> None:
     dock, view = large
     state, history = dock.workbench.review.state, dock.workbench.history
-    before = state.features((1, 1)).crack_length_cells
+    before = state.cells.features((1, 1)).crack_length_cells
     view.bar.drawing.setChecked(True)
     draw(view, LEFT, 0.3)
     assert history.undo_text == "Correct crack marks, row 2, column 2"
     stored(dock, qtbot)
-    painted = state.features((1, 1)).crack_length_cells
+    painted = state.cells.features((1, 1)).crack_length_cells
     assert painted > before + 0.3
     assert f"{painted:.2f} cell widths" in view.caption.text()
-    assert ReviewStore(tmp_path / "out").mask((1, 1), state.rater) is not None
+    assert ReviewStore(tmp_path / "out").mask((1, 1), state.data.rater) is not None
     view.bar.brush.setValue(15)
     draw(view, RIGHT, 0.3)
     stored(dock, qtbot)
-    assert state.features((1, 1)).crack_length_cells < painted - 0.3
+    assert state.cells.features((1, 1)).crack_length_cells < painted - 0.3
     history.undo()
     stored(dock, qtbot)
-    assert state.features((1, 1)).crack_length_cells == pytest.approx(painted)
+    assert state.cells.features((1, 1)).crack_length_cells == pytest.approx(painted)
     history.undo()
     stored(dock, qtbot)
-    assert state.features((1, 1)).crack_length_cells == before
-    assert state.correction((1, 1)) is None
+    assert state.cells.features((1, 1)).crack_length_cells == before
+    assert state.cells.correction((1, 1)) is None
 
 
 def test_table_and_report_are_written_with_the_module_data(
     saved: Any, qtbot: QtBot, tmp_path: Path
 ) -> None:
     _, dock, _ = saved
-    dock.workbench.review.state.give((0, 0), VerdictKind.INACTIVE)
+    dock.workbench.review.state.commands.give((0, 0), VerdictKind.INACTIVE)
     dock.export.fields["serial_number"].setText("PV-0815")
     dock.export.fields["current_a"].setText("8,5")
     dock.export.fields["serial_number"].editingFinished.emit()
@@ -417,7 +418,7 @@ def test_the_name_of_the_rater_is_remembered(
     _, dock, _ = saved
     dock.verdict.rater.setText("Ada")
     dock.verdict.rater.editingFinished.emit()
-    assert Workbench.of(make_napari_viewer()).review.state.rater == "Ada"
+    assert Workbench.of(make_napari_viewer()).review.state.data.rater == "Ada"
 
 
 def test_every_control_of_the_review_has_a_tooltip(large: Any) -> None:
@@ -445,16 +446,16 @@ def test_opening_the_result_again_goes_on_with_its_frames(
     model, state = dock.workbench.model, dock.workbench.review.state
     before = model.inspection
     model.select_cell((1, 1))
-    state.give((1, 1), VerdictKind.CRACK_B)
+    state.commands.give((1, 1), VerdictKind.CRACK_B)
     stored(dock, qtbot)
     dock.workbench.open(tmp_path / "out")
     qtbot.waitUntil(lambda: model.inspection not in (None, before))
-    qtbot.waitUntil(lambda: state.verdict((1, 1)) is not None)
-    assert state.folder == (tmp_path / "out").resolve()
+    qtbot.waitUntil(lambda: state.cells.verdict((1, 1)) is not None)
+    assert state.storage.folder == (tmp_path / "out").resolve()
     model.select_cell((1, 1))
     cells.open_cell()
     view = large_cell(dock.workbench).view
-    qtbot.waitUntil(lambda: view._frame is not None)
+    qtbot.waitUntil(lambda: view.frame is not None)
     stored(dock, qtbot)
 
 
@@ -474,15 +475,15 @@ def test_another_sequence_does_not_come_over_verdicts_that_are_not_saved_unless_
     )
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("", ""))
     before, state = dock.workbench.model.sequence, dock.workbench.review.state
-    state.give((0, 1), VerdictKind.CRACK_A)
+    state.commands.give((0, 1), VerdictKind.CRACK_A)
     dock.workbench.open(tiny_folder)
     assert not dock.workbench.opener.busy
     dock.workbench.model.change_settings(dark_frame=tiny_folder / "dark.tif")
     assert dock.workbench.model.settings.dark_frame is None
-    assert state.verdict((0, 1)).kind is VerdictKind.CRACK_A
+    assert state.cells.verdict((0, 1)).kind is VerdictKind.CRACK_A
     dock.workbench.open(tiny_folder)
     qtbot.waitUntil(lambda: dock.workbench.model.sequence is not before)
-    assert state.verdict((0, 1)) is None
+    assert state.cells.verdict((0, 1)) is None
     sentence = "1 entries of the review are not stored, because the result was not saved yet."
     assert asked == [f"{sentence} Discard them?"] * 3
 
@@ -492,14 +493,14 @@ def test_the_focus_alone_selects_no_other_cell(saved: Any, qtbot: QtBot) -> None
     viewer, dock, cells = saved
     state, model = dock.workbench.review.state, dock.workbench.model
     model.select_cell((0, 3))
-    state.give((0, 3), VerdictKind.CRACK_A)
+    state.commands.give((0, 3), VerdictKind.CRACK_A)
     model.select_cell((1, 0))
-    state.set_filter((VerdictKind.CRACK_A,))
-    assert state.listed == ((0, 3),)
-    viewer.window._qt_window.activateWindow()
+    state.listing.set_filter((VerdictKind.CRACK_A,))
+    assert state.listing.cells == ((0, 3),)
+    main_window(viewer).activateWindow()
     cells.view.setFocus()
     qtbot.waitUntil(cells.view.hasFocus)
     assert model.selected_cell == (1, 0)
     QTest.keyClick(cells.view, "c")
-    assert state.verdict((1, 0)).kind is VerdictKind.CRACK_C
-    assert state.verdict((0, 3)).kind is VerdictKind.CRACK_A
+    assert state.cells.verdict((1, 0)).kind is VerdictKind.CRACK_C
+    assert state.cells.verdict((0, 3)).kind is VerdictKind.CRACK_A

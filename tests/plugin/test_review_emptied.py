@@ -12,8 +12,9 @@ from qtpy.QtWidgets import QMessageBox
 
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.models.workbench import RunState
+from napari_pv_inspect.napari_internals import main_window
 from napari_pv_inspect.review.controller import OTHER_GRID, OTHER_LAYOUT
-from napari_pv_inspect.review.queries import NO_CELLS
+from napari_pv_inspect.review.data import NO_CELLS
 from napari_pv_inspect.review.subject import Subject
 from pv_inspect.cells import CellTiles
 from pv_inspect.inspection.inspection import Inspection
@@ -33,10 +34,10 @@ def questions_answered(monkeypatch: pytest.MonkeyPatch) -> None:
 def judged(workbench: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: QtBot) -> Any:
     """Dock and gallery with a saved inspection of 3 x 4 cells, one of them judged and large."""
     viewer, dock, cells = workbench
-    viewer.window._qt_window.show()
+    main_window(viewer).show()
     show(dock, tiny_inspection)
     dock.save(tmp_path / "out")
-    qtbot.waitUntil(lambda: dock.workbench.review.state.folder is not None)
+    qtbot.waitUntil(lambda: dock.workbench.review.state.storage.folder is not None)
     dock.workbench.model.select_cell((2, 3))
     dock.workbench.review.advances = False
     dock.workbench.review.judge(OK)
@@ -65,7 +66,7 @@ def narrower(whole: Inspection) -> Inspection:
 def is_empty(dock: Any, cells: Any, why: str) -> bool:
     state = dock.workbench.review.state
     return (
-        state.subject is None
+        state.data.subject is None
         and cells.cells.rowCount() == 0
         and cells.view.message == why
         and dock.verdict.progress.toolTip() == why
@@ -106,7 +107,7 @@ def test_what_is_not_shown_is_not_judged(
     said: list[str] = []
     dock.workbench.model.noticed.connect(lambda text, _: said.append(text))
     dock.workbench.review.judge(VerdictKind.CRACK_A)
-    dock.workbench.review.withdraw()
+    dock.workbench.review.commands.withdraw()
     cells.open_cell()
     assert said == [OTHER_LAYOUT, OTHER_LAYOUT]
     assert not large_cell(dock.workbench).is_open
@@ -124,10 +125,10 @@ def test_a_grid_that_was_changed_empties_the_review_until_the_cells_are_back(
     assert cells.cells.rowCount() == 12
     assert cells.view.message == ""
     state = dock.workbench.review.state
-    assert state.verdict((2, 3)).kind is OK
+    assert state.cells.verdict((2, 3)).kind is OK
     dock.workbench.review.judge(VerdictKind.CRACK_B)
     stored(dock, qtbot)
-    assert [v.kind for v in ReviewStore(state.folder).current()] == [VerdictKind.CRACK_B]
+    assert [v.kind for v in ReviewStore(state.storage.folder).current()] == [VerdictKind.CRACK_B]
 
 
 def test_what_was_never_saved_comes_back_with_its_cells(
@@ -137,10 +138,10 @@ def test_what_was_never_saved_comes_back_with_its_cells(
     monkeypatch.setattr(dock, "_on_save", lambda: None)
     show(dock, tiny_inspection)
     state = dock.workbench.review.state
-    state.give((0, 1), OK)
+    state.commands.give((0, 1), OK)
     show(dock, detected(tiny_inspection, cols=5))
     show(dock, tiny_inspection)
-    assert state.verdict((0, 1)).kind is OK
+    assert state.cells.verdict((0, 1)).kind is OK
     assert dock.workbench.history.undo_text is not None
 
 
@@ -152,8 +153,8 @@ def test_the_next_run_of_another_layout_begins_a_review_of_its_own(
     show(dock, narrower(tiny_inspection))
     state = dock.workbench.review.state
     assert cells.cells.rowCount() == 9
-    assert state.folder is None
-    assert state.verdict((2, 3)) is None
+    assert state.storage.folder is None
+    assert state.cells.verdict((2, 3)) is None
     assert dock.workbench.model.selected_cell is None, "it lies beyond the columns"
     assert len(ReviewStore(tmp_path / "out").current()) == 1
 
@@ -179,7 +180,7 @@ def test_another_sequence_has_no_cells_yet(judged: Any, tiny_inspection: Inspect
     show(dock, detected(tiny_inspection, cols=5))
     dock.workbench.model.open(tiny_inspection.sequence)
     assert is_empty(dock, cells, NO_CELLS)
-    assert dock.workbench.review.state.folder is None
+    assert dock.workbench.review.state.storage.folder is None
 
 
 def test_tiles_of_another_layout_are_no_subject(tiny_inspection: Inspection) -> None:
@@ -195,11 +196,11 @@ def test_what_the_user_discards_is_not_told_again(
     show(dock, tiny_inspection)
     said: list[str] = []
     state = dock.workbench.review.state
-    state.failed.connect(said.append)
-    state.give((0, 0), OK)
+    state.storage.failed.connect(said.append)
+    state.commands.give((0, 0), OK)
     assert dock.workbench.opener.may_leave()
     dock.workbench.model.open(tiny_inspection.sequence)
-    assert state.pending == 0
+    assert state.storage.pending == 0
     assert said == []
 
 
@@ -212,7 +213,7 @@ def test_what_is_lost_unasked_is_told(
     show(dock, tiny_inspection)
     said: list[str] = []
     state = dock.workbench.review.state
-    state.failed.connect(said.append)
-    state.give((0, 0), OK)
+    state.storage.failed.connect(said.append)
+    state.commands.give((0, 0), OK)
     dock.workbench.model.open(tiny_inspection.sequence)
     assert len(said) == 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from pathlib import Path
-from time import sleep
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def make(tiny_inspection: Inspection) -> Generator[Make]:
 
     yield make
     for review in made:
-        review.close()
+        review.storage.close()
 
 
 @pytest.fixture
@@ -51,11 +50,11 @@ def folders(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def until(review: ReviewModel, happened: Callable[[], Any]) -> None:
-    wait_until(happened, review.collect)
+    wait_until(happened, review.storage.collect)
 
 
 def line_on(review: ReviewModel) -> Any:
-    mask = np.zeros_like(review.marks((1, 1)))
+    mask = np.zeros_like(review.cells.marks((1, 1)))
     row = len(mask) // 2
     mask[row : row + 2, 4:-4] = True
     return mask
@@ -65,36 +64,38 @@ def test_marks_are_measured_before_there_is_a_folder_and_go_into_it(
     make: Make, tmp_path: Path
 ) -> None:
     review = make()
-    before, mask = review.features((1, 1)).crack_length_cells, line_on(review)
-    review.correct((1, 1), mask)
-    length = (mask.shape[1] - 8) / review.subject.tiles.grid.pixels_per_unit
-    until(review, lambda: review.features((1, 1)).crack_length_cells != before)
-    assert review.features((1, 1)).crack_length_cells == pytest.approx(length, rel=0.1)
-    review._history.undo()
-    assert review.features((1, 1)).crack_length_cells == before
-    review._history.redo()
-    until(review, lambda: review.features((1, 1)).crack_length_cells != before)
-    assert review.features((1, 1)).crack_length_cells == pytest.approx(length, rel=0.1)
-    review.give((1, 1), B)
-    assert review.folder is None
-    review.attach(tmp_path)
-    assert review.wait(LONG_S)
+    before, mask = review.cells.features((1, 1)).crack_length_cells, line_on(review)
+    review.commands.correct((1, 1), mask)
+    length = (mask.shape[1] - 8) / review.data.subject.tiles.grid.pixels_per_unit
+    until(review, lambda: review.cells.features((1, 1)).crack_length_cells != before)
+    assert review.cells.features((1, 1)).crack_length_cells == pytest.approx(length, rel=0.1)
+    review.history.undo()
+    assert review.cells.features((1, 1)).crack_length_cells == before
+    review.history.redo()
+    until(review, lambda: review.cells.features((1, 1)).crack_length_cells != before)
+    assert review.cells.features((1, 1)).crack_length_cells == pytest.approx(length, rel=0.1)
+    review.commands.give((1, 1), B)
+    assert review.storage.folder is None
+    review.storage.attach(tmp_path)
+    assert review.storage.wait(LONG_S)
     (stored,) = ReviewStore(tmp_path).current()
     assert stored.kind is B
     assert stored.crack_length_cells == pytest.approx(length, rel=0.1)
     np.testing.assert_array_equal(ReviewStore(tmp_path).mask((1, 1), "Ada"), mask)
 
 
-def test_only_the_newest_stroke_is_shown_with_its_measures(make: Make) -> None:
+def test_only_the_latest_correction_is_shown_with_its_measures(make: Make) -> None:
     review = make()
     mask = line_on(review)
     for width in (8, 16, 24):
-        mask = mask & (np.arange(mask.shape[1]) < width)
-        review.correct((1, 1), mask)
-    until(review, lambda: not review._journal._idle)
-    sleep(0.2)
-    review.collect()
-    np.testing.assert_array_equal(review.marks((1, 1)), mask)
+        drawn = mask & (np.arange(mask.shape[1]) < width)
+        review.commands.correct((1, 1), drawn)
+    length = review.data.subject.measured((1, 1), drawn).crack_length_cells
+    until(review, lambda: review.cells.features((1, 1)).crack_length_cells == length)
+    np.testing.assert_array_equal(review.cells.marks((1, 1)), drawn)
+    # The measures of all three have arrived by then: they are taken in the order of the edits.
+    review.storage.collect()
+    assert review.cells.features((1, 1)).crack_length_cells == length
 
 
 def test_saving_elsewhere_takes_along_what_all_raters_said(
@@ -108,15 +109,15 @@ def test_saving_elsewhere_takes_along_what_all_raters_said(
         store.note((0, 1), "Ben", "look again")
         store.describe(ModuleData("S1", 8.5))
     review = make("Ada")
-    review.attach(first)
-    review.give((0, 0), A)
-    review.write_note((1, 0), "typed")
-    assert review.wait(LONG_S)
-    review.attach(second)
-    assert review.verdict((0, 0)).kind is A, "in sight all the time"
-    assert review.note((1, 0)) == "typed"
-    assert review.wait(LONG_S)
-    until(review, lambda: review.others((2, 2)))
+    review.storage.attach(first)
+    review.commands.give((0, 0), A)
+    review.commands.write_note((1, 0), "typed")
+    assert review.storage.wait(LONG_S)
+    review.storage.attach(second)
+    assert review.cells.verdict((0, 0)).kind is A, "in sight all the time"
+    assert review.cells.note((1, 0)) == "typed"
+    assert review.storage.wait(LONG_S)
+    until(review, lambda: review.cells.others((2, 2)))
     with ReviewStore(second) as store:
         found = {(v.rater, v.cell): (v.kind, v.note) for v in store.current()}
         assert found == {("Ada", (0, 0)): (A, ""), ("Ben", (2, 2)): (C, "from the edge")}
@@ -135,14 +136,14 @@ def test_saving_elsewhere_never_replaces_what_is_said_there(
         store.give(Verdict(0, 0, C, "Ada", "there"))
     review = make("Ada")
     said: list[str] = []
-    review.failed.connect(said.append)
-    review.attach(first)
-    review.give((0, 0), A)
-    review.give((0, 1), B)
-    assert review.wait(LONG_S)
-    review.attach(second)
-    assert review.wait(LONG_S)
-    until(review, lambda: review.verdict((0, 0)).kind is C)
+    review.storage.failed.connect(said.append)
+    review.storage.attach(first)
+    review.commands.give((0, 0), A)
+    review.commands.give((0, 1), B)
+    assert review.storage.wait(LONG_S)
+    review.storage.attach(second)
+    assert review.storage.wait(LONG_S)
+    until(review, lambda: review.cells.verdict((0, 0)).kind is C)
     assert {v.cell: v.kind for v in ReviewStore(second).current()} == {(0, 0): C, (0, 1): B}
     (sentence,) = said
     assert "1 cell already" in sentence
@@ -159,18 +160,18 @@ def test_notes_and_marks_that_stay_in_the_other_folder_are_told_and_shown(
         store.note((0, 0), "Ada", "look again")
         store.give(Verdict(1, 1, C, "Ada"))
     said: list[str] = []
-    review.failed.connect(said.append)
-    review.attach(first)
-    review.give((0, 0), A)
-    review.correct((1, 1), mask)
-    assert review.wait(LONG_S)
-    review.attach(second)
-    assert review.wait(LONG_S)
+    review.storage.failed.connect(said.append)
+    review.storage.attach(first)
+    review.commands.give((0, 0), A)
+    review.commands.correct((1, 1), mask)
+    assert review.storage.wait(LONG_S)
+    review.storage.attach(second)
+    assert review.storage.wait(LONG_S)
     until(review, lambda: said)
     assert "2 cells already" in said[0]
-    assert (review.verdict((0, 0)), review.note((0, 0))) == (None, "look again")
-    assert review.verdict((1, 1)).kind is C
-    assert review.correction((1, 1)) is None
+    assert (review.cells.verdict((0, 0)), review.cells.note((0, 0))) == (None, "look again")
+    assert review.cells.verdict((1, 1)).kind is C
+    assert review.cells.correction((1, 1)) is None
 
 
 def test_what_the_full_disk_refused_goes_into_the_other_folder(
@@ -186,19 +187,19 @@ def test_what_the_full_disk_refused_goes_into_the_other_folder(
 
     review = make("Ada")
     said: list[str] = []
-    review.failed.connect(said.append)
-    review.attach(first)
-    review.give((0, 0), A)
-    assert review.wait(LONG_S)
+    review.storage.failed.connect(said.append)
+    review.storage.attach(first)
+    review.commands.give((0, 0), A)
+    assert review.storage.wait(LONG_S)
     monkeypatch.setattr(ReviewStore, "give", refuse)
-    review.give((0, 0), C)
-    review.give((0, 1), B)
+    review.commands.give((0, 0), C)
+    review.commands.give((0, 1), B)
     until(review, lambda: said)
-    review.attach(second)
+    review.storage.attach(second)
     until(review, lambda: len(ReviewStore(second).current()) == 2)
     assert {v.cell: v.kind for v in ReviewStore(second).current()} == {(0, 0): C, (0, 1): B}
     monkeypatch.setattr(ReviewStore, "give", give)
-    assert review.wait(LONG_S)
+    assert review.storage.wait(LONG_S)
 
 
 def test_what_was_judged_before_the_folder_was_known_counts_and_undo_brings_the_earlier_back(
@@ -209,42 +210,42 @@ def test_what_was_judged_before_the_folder_was_known_counts_and_undo_brings_the_
         store.give(Verdict(0, 1, OK, "Ada"))
     review = make("Ada")
     said: list[str] = []
-    review.failed.connect(said.append)
-    review.give((0, 0), A)
-    review.attach(tmp_path)
-    assert review.wait(LONG_S)
+    review.storage.failed.connect(said.append)
+    review.commands.give((0, 0), A)
+    review.storage.attach(tmp_path)
+    assert review.storage.wait(LONG_S)
     until(review, lambda: said)
     assert "1 of the cells" in said[0]
     assert {v.cell: v.kind for v in ReviewStore(tmp_path).current()} == {(0, 0): A, (0, 1): OK}
-    review._history.undo()
-    assert review.wait(LONG_S)
-    assert review.verdict((0, 0)).kind is C
-    assert review.note((0, 0)) == "last week"
+    review.history.undo()
+    assert review.storage.wait(LONG_S)
+    assert review.cells.verdict((0, 0)).kind is C
+    assert review.cells.note((0, 0)) == "last week"
 
 
 def test_a_note_waits_goes_with_its_verdict_and_returns_when_that_is_undone(
     make: Make, tmp_path: Path
 ) -> None:
     review = make()
-    review.attach(tmp_path)
-    review.write_note((0, 0), "dark corner")
-    review.give((0, 0), A)
-    assert review.verdict((0, 0)).note == "dark corner"
-    review._history.undo()
-    assert review.note((0, 0)) == "dark corner"
-    assert review.wait(LONG_S)
-    assert review.note((0, 0)) == "dark corner"
+    review.storage.attach(tmp_path)
+    review.commands.write_note((0, 0), "dark corner")
+    review.commands.give((0, 0), A)
+    assert review.cells.verdict((0, 0)).note == "dark corner"
+    review.history.undo()
+    assert review.cells.note((0, 0)) == "dark corner"
+    assert review.storage.wait(LONG_S)
+    assert review.cells.note((0, 0)) == "dark corner"
     assert ReviewStore(tmp_path).waiting_notes("Ada") == {(0, 0): "dark corner"}
-    review._history.redo()
-    review.withdraw((0, 0))
-    assert review.wait(LONG_S)
-    assert (review.verdict((0, 0)), review.note((0, 0))) == (None, "dark corner")
+    review.history.redo()
+    review.commands.withdraw((0, 0))
+    assert review.storage.wait(LONG_S)
+    assert (review.cells.verdict((0, 0)), review.cells.note((0, 0))) == (None, "dark corner")
     again = make()
-    again.attach(tmp_path)
-    assert again.wait(LONG_S)
-    assert again.note((0, 0)) == "dark corner"
-    again.give((0, 0), C)
-    assert again.wait(LONG_S)
+    again.storage.attach(tmp_path)
+    assert again.storage.wait(LONG_S)
+    assert again.cells.note((0, 0)) == "dark corner"
+    again.commands.give((0, 0), C)
+    assert again.storage.wait(LONG_S)
     assert ReviewStore(tmp_path).current()[0].note == "dark corner"
 
 
@@ -254,32 +255,32 @@ def test_nothing_is_lost_when_the_rater_changes_and_comes_back(
 ) -> None:
     review = make("Ada")
     if saved:
-        review.attach(tmp_path)
+        review.storage.attach(tmp_path)
     mask = line_on(review)
-    review.give((0, 0), A)
-    review.write_note((0, 1), "typed")
-    review.correct((1, 1), mask)
+    review.commands.give((0, 0), A)
+    review.commands.write_note((0, 1), "typed")
+    review.commands.correct((1, 1), mask)
     review.set_rater("Ben")
-    assert review.verdict((0, 0)) is None
-    assert [(v.rater, v.kind) for v in review.others((0, 0))] == [("Ada", A)]
-    assert review.note((0, 1)) == ""
-    assert review.correction((1, 1)) is None
-    review.give((0, 0), C)
-    assert review.is_disputed((0, 0))
+    assert review.cells.verdict((0, 0)) is None
+    assert [(v.rater, v.kind) for v in review.cells.others((0, 0))] == [("Ada", A)]
+    assert review.cells.note((0, 1)) == ""
+    assert review.cells.correction((1, 1)) is None
+    review.commands.give((0, 0), C)
+    assert review.cells.is_disputed((0, 0))
     if saved:
-        assert review.wait(LONG_S)
+        assert review.storage.wait(LONG_S)
     review.set_rater("Ada")
     if saved:
-        assert review.wait(LONG_S)
-    assert review.verdict((0, 0)).kind is A
-    assert review.note((0, 1)) == "typed"
-    np.testing.assert_array_equal(review.correction((1, 1)), mask)
-    assert [(v.rater, v.kind) for v in review.others((0, 0))] == [("Ben", C)]
+        assert review.storage.wait(LONG_S)
+    assert review.cells.verdict((0, 0)).kind is A
+    assert review.cells.note((0, 1)) == "typed"
+    np.testing.assert_array_equal(review.cells.correction((1, 1)), mask)
+    assert [(v.rater, v.kind) for v in review.cells.others((0, 0))] == [("Ben", C)]
 
 
 def test_who_holds_something_typed_is_asked_before_the_rater_changes(make: Make) -> None:
     review = make("Ada")
-    review.flush_wanted.connect(lambda: review.write_note((2, 2), "in the line"))
+    review.storage.flush_wanted.connect(lambda: review.commands.write_note((2, 2), "in the line"))
     review.set_rater("Ben")
-    assert review.note((2, 2)) == ""
-    assert review._module_review.rater_review("Ada").notes == {(2, 2): "in the line"}
+    assert review.cells.note((2, 2)) == ""
+    assert review.data.module_review.rater_review("Ada").notes == {(2, 2): "in the line"}

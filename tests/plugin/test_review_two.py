@@ -19,6 +19,7 @@ from qtpy.QtWidgets import QApplication
 from napari_pv_inspect.docks.gallery_list import cell_text
 from napari_pv_inspect.docks.large_cell import large_cell
 from napari_pv_inspect.models.history import History
+from napari_pv_inspect.napari_internals import main_window
 from napari_pv_inspect.review.journal import Journal
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
@@ -69,22 +70,22 @@ def test_two_processes_see_each_other_and_where_they_differ(
     _, dock, cells = saved
     state = dock.workbench.review.state
     state.set_rater("Ada")
-    state.give((0, 0), OK)
-    state.give((0, 1), A)
-    qtbot.waitUntil(lambda: state.pending == 0)
+    state.commands.give((0, 0), OK)
+    state.commands.give((0, 1), A)
+    qtbot.waitUntil(lambda: state.storage.pending == 0)
     assert "Ada:0:0:ok" in ben("0 0 crack_c")
-    qtbot.waitUntil(lambda: bool(state.others((0, 0))))
-    assert state.is_disputed((0, 0))
-    assert not state.is_disputed((0, 1))
+    qtbot.waitUntil(lambda: bool(state.cells.others((0, 0))))
+    assert state.cells.is_disputed((0, 0))
+    assert not state.cells.is_disputed((0, 1))
     assert "the raters differ" in cell_text(state, (0, 0))
     cells.filter.setCurrentText("raters differ")
-    assert state.listed == ((0, 0),)
+    assert state.listing.cells == ((0, 0),)
     with ReviewStore(tmp_path / "out") as store:
-        table = verdicts_csv(state.subject.cracks.cells, store.current())
+        table = verdicts_csv(state.data.subject.cracks.cells, store.current())
     assert table.splitlines()[1].startswith("1,1,disagreed,")
-    state.give((0, 0), C)
-    assert state.listed == ()
-    qtbot.waitUntil(lambda: state.pending == 0)
+    state.commands.give((0, 0), C)
+    assert state.listing.cells == ()
+    qtbot.waitUntil(lambda: state.storage.pending == 0)
     assert "Ada:0:0:crack_c" in ben("1 1 ok")
 
 
@@ -99,31 +100,31 @@ def test_a_locked_database_is_one_sentence_and_the_verdict_is_stored_when_it_is_
     review = ReviewModel(
         History(), "Ada", lambda *calls: Journal(*calls, open_store=open_store, retry_s=0.05)
     )
-    review.failed.connect(said.append)
+    review.storage.failed.connect(said.append)
     review.show(Subject.of_inspection(tiny_inspection))
-    review.attach(tmp_path)
-    review.give((0, 0), OK)
-    assert review.wait(LONG_S)
+    review.storage.attach(tmp_path)
+    review.commands.give((0, 0), OK)
+    assert review.storage.wait(LONG_S)
     blocker = sqlite3.connect(tmp_path / REVIEW_FILE, isolation_level=None)
     blocker.execute("BEGIN EXCLUSIVE")
-    review.give((0, 1), A)
+    review.commands.give((0, 1), A)
 
     def told() -> bool:
-        review.collect()
+        review.storage.collect()
         return bool(said)
 
     qtbot.waitUntil(told)
     qtbot.wait(200)
-    review.collect()
+    review.storage.collect()
     assert len(said) == 1, "once, however often it is tried"
     assert "held by another program" in said[0]
-    assert review.verdict((0, 1)).kind is A
-    assert review.is_pending((0, 1))
+    assert review.cells.verdict((0, 1)).kind is A
+    assert review.cells.is_pending((0, 1))
     blocker.execute("ROLLBACK")
     blocker.close()
-    assert review.wait(LONG_S)
+    assert review.storage.wait(LONG_S)
     assert [v.kind for v in ReviewStore(tmp_path).current()] == [OK, A]
-    review.close()
+    review.storage.close()
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="nothing is write-protected for root")
@@ -132,23 +133,23 @@ def test_a_write_protected_folder_is_one_sentence_and_keeps_the_verdict(
 ) -> None:
     said: list[str] = []
     review = ReviewModel(History(), "Ada", lambda *calls: Journal(*calls, retry_s=0.05))
-    review.failed.connect(said.append)
+    review.storage.failed.connect(said.append)
     review.show(Subject.of_inspection(tiny_inspection))
     tmp_path.chmod(0o500)
-    review.attach(tmp_path)
-    review.give((0, 0), OK)
+    review.storage.attach(tmp_path)
+    review.commands.give((0, 0), OK)
 
     def told() -> bool:
-        review.collect()
+        review.storage.collect()
         return bool(said)
 
     qtbot.waitUntil(told)
-    assert not review.wait(0.2)
+    assert not review.storage.wait(0.2)
     assert len(said) == 1
-    assert review.verdict((0, 0)).kind is OK
+    assert review.cells.verdict((0, 0)).kind is OK
     tmp_path.chmod(0o700)
-    assert review.wait(LONG_S)
-    review.close()
+    assert review.storage.wait(LONG_S)
+    review.storage.close()
 
 
 def test_what_stands_in_the_note_is_stored_when_the_window_closes(
@@ -158,11 +159,11 @@ def test_what_stands_in_the_note_is_stored_when_the_window_closes(
     dock.show_page("Review")
     dock.workbench.model.select_cell((2, 1))
     note = dock.verdict.note
-    viewer.window._qt_window.activateWindow()
+    main_window(viewer).activateWindow()
     note.setFocus()
     qtbot.waitUntil(note.hasFocus)
     QTest.keyClicks(note, "not entered")
-    rater = dock.workbench.review.state.rater
+    rater = dock.workbench.review.state.data.rater
     viewer.close()
     assert ReviewStore(tmp_path / "out").waiting_notes(rater) == {(2, 1): "not entered"}
 
@@ -178,7 +179,7 @@ def test_what_stands_in_the_note_goes_to_the_rater_who_typed_it(saved: Any, qtbo
     assert dock.verdict.note.text() == ""
     dock.workbench.review.set_rater("Ada")
     assert dock.verdict.note.text() == "by Ada"
-    qtbot.waitUntil(lambda: state.pending == 0)
+    qtbot.waitUntil(lambda: state.storage.pending == 0)
 
 
 @pytest.mark.parametrize("order", ["by position", "by crack score"])
@@ -187,13 +188,13 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
 ) -> None:
     viewer, dock, cells = saved
     state, model = dock.workbench.review.state, dock.workbench.model
-    state.give((1, 1), B)  # a filtered cell in between
+    state.commands.give((1, 1), B)  # a filtered cell in between
     cells.order.setCurrentText(order)
     cells.filter.setCurrentText("not judged")
-    wanted = state.listed
+    wanted = state.listing.cells
     assert len(wanted) == 11
     model.select_cell(wanted[0])
-    viewer.window._qt_window.activateWindow()
+    main_window(viewer).activateWindow()
     cells.view.setFocus()
     qtbot.waitUntil(cells.view.hasFocus)
     QTest.keyClick(cells.view, Qt.Key.Key_Return)
@@ -211,5 +212,5 @@ def test_all_cells_are_judged_by_keys_alone_in_the_listed_order(
             QTest.keyClick(cells.view, Qt.Key.Key_Return)
             assert view.hasFocus()
     assert tuple(judged) == wanted
-    assert state.progress.judged == 12
-    qtbot.waitUntil(lambda: state.pending == 0)
+    assert state.cells.progress.judged == 12
+    qtbot.waitUntil(lambda: state.storage.pending == 0)

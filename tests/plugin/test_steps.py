@@ -50,7 +50,7 @@ def test_a_guessed_layout_is_confirmed_before_the_grid_is_detected(
     sequence = replace(tiny_sequence, layout_hint={})
     model.open(sequence)
     assert next_step(model).action is StepAction.GIVE_LAYOUT
-    model.guessing = True
+    model.set_guessing(True)
     assert next_step(model).action is StepAction.WAIT
     model.offer_layout(sequence, LayoutGuess(ModuleLayout(3, 4), 0.9, ()))
     assert next_step(model).text == "Confirm 3 x 4 cells"
@@ -89,8 +89,8 @@ def test_a_run_shows_what_it_works_on_and_can_be_cancelled_or_renewed(
     model: WorkbenchModel, tiny_inspection: Inspection
 ) -> None:
     model.begin_run()
-    model.absorb(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
-    model.absorb(Step(Stage.CALIBRATE, 0.2, ""))
+    model.take_step(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
+    model.take_step(Step(Stage.CALIBRATE, 0.2, ""))
     assert statuses(model)[:4] == [D, D, Status.WORKING, W]
     assert next_step(model).action is StepAction.CANCEL
     model.change_settings(prior_weight=0.3)
@@ -114,7 +114,7 @@ def test_a_failed_step_says_why_until_the_next_try(
     model: WorkbenchModel, tiny_inspection: Inspection
 ) -> None:
     model.begin_run()
-    model.absorb(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
+    model.take_step(Step(Stage.DETECT, 0.1, "", tiny_inspection.crossings))
     model.end_run(None, keep_draft=False, why="No frame fits.")
     steps = steps_of(model)
     assert steps[2].status is Status.FAILED

@@ -34,7 +34,7 @@ class Bench:
 
     def try_(self, weight: float, cell: tuple[int, int] = (0, 1)) -> None:
         self.model.change_settings(prior_weight=weight)
-        self.tuning.settle()
+        self.tuning.commit()
         image = np.full((6, 5), 0.25, np.float32)
         self.tuning.pictured(CellPicture(image, cell, "", self.model.settings))
 
@@ -81,7 +81,7 @@ def test_trials_come_back_with_their_names_and_the_list_goes_on(
 
     again = new_bench()
     again.reopen(folder)
-    assert titles(again) == ["first look", "sharp"]
+    assert titles(again) == ["first setting", "sharp"]
     assert again.tuning.trials[1].settings.prior_weight == 2.0
     np.testing.assert_allclose(again.tuning.trials[1].picture.image, 0.25)
     again.try_(2.0)
@@ -161,7 +161,7 @@ def test_a_trial_of_a_cell_that_the_module_has_not_is_left_out(
     workbench.keeper.close()
     again = new_bench()
     again.reopen(folder)
-    assert titles(again) == ["first look"]
+    assert titles(again) == ["first setting"]
 
 
 def test_a_folder_that_went_away_is_told_once(
@@ -172,8 +172,8 @@ def test_a_folder_that_went_away_is_told_once(
     folder.rename(folder.with_name("elsewhere"))
     for weight in (1.0, 2.0):
         workbench.try_(weight)
-        workbench.keeper._write()
-    workbench.keeper._thread.submit(int).result()
+        workbench.keeper.write()
+    workbench.keeper.wait()
     qtbot.waitUntil(lambda: bool(workbench.said))
     qtbot.wait(50)
     assert [("the folder is gone" in text) for text in workbench.said] == [True]
@@ -189,9 +189,8 @@ def test_the_workbench_keeps_them_also_if_it_is_closed_while_it_saves(
 ) -> None:
     viewer, dock, _ = workbench
     model, tuning = dock.workbench.model, dock.workbench.tuning
-    model.inspection = tiny_inspection
-    model.inspection_changed.emit(tiny_inspection)
-    tuning.settle()
+    model.revise(tiny_inspection)
+    tuning.commit()
     image = np.zeros((6, 5), np.float32)
     tuning.pictured(CellPicture(image, (0, 0), "", model.settings))
     dock.save(tmp_path / "out")

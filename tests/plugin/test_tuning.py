@@ -31,7 +31,7 @@ class Hand:
 
     def try_(self, weight: float) -> None:
         self.drag(weight)
-        self.tuning.settle()
+        self.tuning.commit()
         self.picture()
 
 
@@ -39,11 +39,11 @@ def test_a_drag_is_one_edit_and_undo_brings_the_settled_value_back() -> None:
     hand = Hand()
     hand.try_(1.0)
     hand.drag(1.1, 1.5, 2.0)
-    hand.tuning.settle()
+    hand.tuning.commit()
     assert hand.history.undo_text == "Change lambda"
     hand.history.undo()
     assert hand.model.settings.prior_weight == 1.0
-    hand.tuning.settle()
+    hand.tuning.commit()
     hand.history.redo()
     assert hand.model.settings.prior_weight == 2.0
     hand.history.undo()
@@ -55,9 +55,9 @@ def test_a_drag_is_one_edit_and_undo_brings_the_settled_value_back() -> None:
 def test_undo_takes_the_last_image_setting_back_whatever_else_changed() -> None:
     hand = Hand()
     hand.model.change_settings(psf_sigma_lr_px=0.6)
-    hand.tuning.settle()
+    hand.tuning.commit()
     hand.model.change_settings(cell_aspect=1.5)
-    hand.tuning.settle()
+    hand.tuning.commit()
     hand.history.undo()
     assert hand.model.settings.psf_sigma_lr_px is None
     assert hand.model.settings.cell_aspect == 1.5
@@ -65,16 +65,16 @@ def test_undo_takes_the_last_image_setting_back_whatever_else_changed() -> None:
 
 def test_there_is_one_trial_per_settled_setting() -> None:
     hand = Hand()
-    hand.tuning.settle()
+    hand.tuning.commit()
     hand.picture()
     hand.drag(0.1, 0.2)
     hand.picture()  # finished, but the slider goes on
     hand.drag(0.3)
     hand.picture()
     assert len(hand.tuning.trials) == 1
-    hand.tuning.settle()
+    hand.tuning.commit()
     hand.picture()
-    assert [t.text for t in hand.tuning.trials] == ["first look", "lambda 0.3"]
+    assert [t.text for t in hand.tuning.trials] == ["first setting", "lambda 0.3"]
 
 
 def test_a_trial_can_be_returned_to_and_is_not_listed_twice() -> None:
@@ -107,7 +107,7 @@ def test_a_name_is_kept_and_can_be_taken_back() -> None:
     assert hand.tuning.trials[0].title == "sharp"
     assert hand.tuning.current is hand.tuning.trials[0]
     hand.history.undo()
-    assert hand.tuning.trials[0].title == "first look"
+    assert hand.tuning.trials[0].title == "first setting"
 
 
 def test_another_sequence_begins_a_new_list(tiny_sequence: FrameSequence) -> None:

@@ -243,7 +243,9 @@ def test_the_dock_may_be_closed_mid_run_and_opened_again(
     assert "5 frames" in again.headline.text()
 
 
-def test_a_layer_of_the_reader_is_adopted(workbench: Any, tiny_folder: Path, qtbot: QtBot) -> None:
+def test_a_layer_of_the_reader_becomes_the_frames_layer(
+    workbench: Any, tiny_folder: Path, qtbot: QtBot
+) -> None:
     viewer, dock, _ = workbench
     other = FrameSequence.open(tiny_folder)
     data, attributes, _ = sequence_layer(other)

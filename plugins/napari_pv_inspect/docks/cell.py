@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import cv2
 import numpy as np
 from napari.components import ViewerModel
-from napari.qt.threading import create_worker
 from qtpy.QtCore import Qt, Signal
 from qtpy.QtWidgets import QLabel, QVBoxLayout, QWidget
 
@@ -18,9 +16,10 @@ from napari_pv_inspect.docks.cell_bar import CellBar
 from napari_pv_inspect.docks.gallery_list import cell_text
 from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.live.single_frame import FramePanels, contours, frame_panels
+from napari_pv_inspect.review.data import ReviewChange
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Mask, Subject
-from napari_pv_inspect.tasks.guard import attempt
+from napari_pv_inspect.tasks.latest import LatestOnly
 from napari_pv_inspect.widgets.docking import dock_of
 from napari_pv_inspect.widgets.image_panels import Outlines, PaintPanel, Panel, SharedView
 from napari_pv_inspect.widgets.listen import listen
@@ -29,7 +28,6 @@ from napari_pv_inspect.widgets.shortcuts import Key
 from napari_pv_inspect.widgets.style import ThemedStyle
 from napari_pv_inspect.workbench import Workbench
 from pv_inspect.errors import InspectionError
-from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reports.pictures import grey
 from pv_inspect.review import Cell
 
@@ -61,9 +59,8 @@ class CellDock(QWidget):
         self._stroke: _Stroke | None = None
         self._limits = (0.0, 1.0)
         self._found: tuple[object, Outlines] = (None, [])
-        self._frame: FramePanels | None = None
-        self._wanted: tuple[Subject, Cell] | None = None
-        self._working = False
+        self.frame: FramePanels | None = None
+        self._best_frame = LatestOnly(self._on_frame, self._on_frame_failure)
         self.shared = SharedView()
         move = (
             "Wheel: zoom; drag: move; double click: the whole cell; click, or its number: large. "
@@ -106,12 +103,12 @@ class CellDock(QWidget):
         self.cell_panel.stroked.connect(self._on_stroked)
         self.cell_panel.stroke_ended.connect(self._on_stroke_ended)
         self._bind_keys()
-        listen(self._review.subject_changed, self._on_subject)
-        listen(self._review.marks_changed, self._on_marks)
-        listen(self._review.verdicts_changed, self._caption)
-        listen(self._review.threshold_changed, self._on_threshold)
+        listen(self._review.data.subject_changed, self._on_subject)
+        listen(self._review.data.changed, self._on_review)
+        listen(self._review.data.threshold_changed, self._on_threshold)
         listen(self._workbench.model.cell_selected, self._on_cell)
-        self._on_subject(self._review.subject)
+        self.destroyed.connect(partial(_close, self._best_frame))
+        self._on_subject(self._review.data.subject)
 
     @property
     def _review(self) -> ReviewModel:
@@ -119,12 +116,12 @@ class CellDock(QWidget):
 
     @property
     def _cell(self) -> Cell | None:
-        cell, subject = self._workbench.model.selected_cell, self._review.subject
+        cell, subject = self._workbench.model.selected_cell, self._review.data.subject
         return cell if subject is not None and cell in subject.places else None
 
     @property
     def _why_none(self) -> str:
-        return "No cell is selected." if self._review.subject else self._review.why_empty
+        return "No cell is selected." if self._review.data.subject else self._review.data.why_empty
 
     def _bind_keys(self) -> None:
         bind_review_keys(self._workbench, self, "Cell view")
@@ -170,7 +167,7 @@ class CellDock(QWidget):
 
     def _on_cell(self, _: Cell | None) -> None:
         self._stroke = None
-        self._frame = None
+        self.frame = None
         self._show_pictures()
         self._show_outlines()
         self._caption()
@@ -190,13 +187,13 @@ class CellDock(QWidget):
     def _on_threshold(self, _: float) -> None:
         self._show_outlines()
 
-    def _on_marks(self, cell: Cell | None) -> None:
-        if cell is None or cell == self._cell:
+    def _on_review(self, change: ReviewChange) -> None:
+        if change.marks_of(self._cell):
             self._show_outlines()
-            self._caption()
+        self._caption()
 
     def _show_pictures(self) -> None:
-        subject, cell = self._review.subject, self._cell
+        subject, cell = self._review.data.subject, self._cell
         if subject is None or cell is None:
             self.frame_panel.title = "Best frame"
             for panel in self.panels:
@@ -208,10 +205,10 @@ class CellDock(QWidget):
             self.support_panel.show_picture(None, "There is no support map.")
         else:
             self.support_panel.show_picture(_support_colours(support[cell]))
-        if self._frame is not None:
-            self.frame_panel.title = f"Best frame: {self._frame.name}"
-            self.frame_panel.show_picture(self._grey(self._frame.nearest))
-            self.bicubic_panel.show_picture(self._grey(self._frame.bicubic))
+        if self.frame is not None:
+            self.frame_panel.title = f"Best frame: {self.frame.name}"
+            self.frame_panel.show_picture(self._grey(self.frame.nearest))
+            self.bicubic_panel.show_picture(self._grey(self.frame.bicubic))
         elif subject.inspection is None:
             self._say_of_frame(NO_FRAMES)
 
@@ -229,7 +226,9 @@ class CellDock(QWidget):
         lines: Outlines = []
         replaced: Outlines | None = None
         if cell is not None and opacity > 0:
-            drawn = self._review.correction(cell) if self._stroke is None else self._stroke.mask
+            drawn = (
+                self._review.cells.correction(cell) if self._stroke is None else self._stroke.mask
+            )
             found = self._found_lines(cell)
             lines, replaced = (found, None) if drawn is None else (contours(drawn), found)
         for panel in self.panels:
@@ -237,9 +236,9 @@ class CellDock(QWidget):
 
     def _found_lines(self, cell: Cell) -> Outlines:
         """Outlines of the detector's marks; found once, the brush asks for them all the time."""
-        key = self._review.subject, cell, self._review.threshold
+        key = self._review.data.subject, cell, self._review.data.threshold
         if key != self._found[0]:
-            mask = self._review.found_marks(cell)
+            mask = self._review.cells.found_marks(cell)
             self._found = key, [] if mask is None else contours(mask)
         return self._found[1]
 
@@ -252,44 +251,28 @@ class CellDock(QWidget):
         self.caption.setText("  |  ".join(text.splitlines()))
         self.caption.setToolTip(text)
 
-    # The best frame: read and rectified in the background; only the newest request counts.
+    # The best frame is read and rectified in the background.
 
     def _ask_for_frame(self) -> None:
-        subject, cell = self._review.subject, self._cell
+        subject, cell = self._review.data.subject, self._cell
         if subject is None or cell is None or subject.inspection is None:
-            self._wanted = None
+            self._best_frame.cancel()
             return
         self._say_of_frame("Reading the frame...")
-        self._wanted = subject, cell
-        self._work()
+        self._best_frame.ask(partial(frame_panels, subject.inspection, cell))
 
-    def _work(self) -> None:
-        if self._wanted is None or self._working:
-            return
-        self._working = True
-        subject, cell = self._wanted
-        worker = create_worker(_frame_or_sentence, subject, cell)
-        worker.returned.connect(self._on_frame)
-        worker.start()
+    def _on_frame(self, found: FramePanels) -> None:
+        self.frame = found
+        self._show_pictures()
 
-    def _on_frame(self, answer: tuple[Subject, Cell, Any]) -> None:
-        self._working = False
-        subject, cell, found = answer
-        if self._wanted is None or (subject, cell) != self._wanted:
-            self._work()
-            return
-        self._wanted = None
-        if isinstance(found, FramePanels):
-            self._frame = found
-            self._show_pictures()
-        else:
-            self._say_of_frame(found)
+    def _on_frame_failure(self, error: InspectionError) -> None:
+        self._say_of_frame(str(error))
 
     # Brush and eraser
 
     def _on_stroke_begun(self) -> None:
         cell = self._cell
-        mask = None if cell is None else self._review.marks(cell)
+        mask = None if cell is None else self._review.cells.marks(cell)
         self._stroke = None if cell is None or mask is None else _Stroke(cell, mask.copy())
 
     def _on_stroked(
@@ -307,18 +290,15 @@ class CellDock(QWidget):
     def _on_stroke_ended(self) -> None:
         stroke, self._stroke = self._stroke, None
         if stroke is not None:
-            self._review.correct(stroke.cell, stroke.mask)
+            self._review.commands.correct(stroke.cell, stroke.mask)
 
     def _on_reset(self) -> None:
-        if (cell := self._cell) is not None and self._review.correction(cell) is not None:
-            self._review.correct(cell, None)
+        if (cell := self._cell) is not None and self._review.cells.correction(cell) is not None:
+            self._review.commands.correct(cell, None)
 
 
-def _frame_or_sentence(subject: Subject, cell: Cell) -> tuple[Subject, Cell, FramePanels | str]:
-    inspection = subject.inspection
-    assert isinstance(inspection, Inspection)
-    found = attempt(partial(frame_panels, inspection, cell), "This failed unexpectedly")
-    return subject, cell, str(found) if isinstance(found, InspectionError) else found
+def _close(requests: LatestOnly, _: object = None) -> None:
+    requests.close()
 
 
 def _support_colours(support: np.ndarray) -> np.ndarray:

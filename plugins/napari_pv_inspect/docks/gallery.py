@@ -23,7 +23,9 @@ from napari_pv_inspect.docks.large_cell import large_cell, open_cell
 from napari_pv_inspect.docks.review_keys import bind_review_keys
 from napari_pv_inspect.models.footer import capitalised
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.review.model import EVERY, ReviewModel
+from napari_pv_inspect.review.data import ReviewChange
+from napari_pv_inspect.review.listing import EVERY
+from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.subject import Subject
 from napari_pv_inspect.widgets.folding_bar import FoldingBar
 from napari_pv_inspect.widgets.listen import listen
@@ -71,12 +73,12 @@ class CellsDock(QWidget):
         self._workbench.has_gallery = True
         self._style = ThemedStyle(self, self._workbench.viewer)
         self.cells = CellList(self._review)
-        self._delegate = TileDelegate(self._review, self.cells)
+        self.delegate = TileDelegate(self._review, self.cells)
         self._sizing = QTimer(self)
         self._sizing.setSingleShot(True)
         self._sizing.setInterval(60)
-        self._sizing.timeout.connect(self._fit)
-        self.view = _view(self.cells, self._delegate)
+        self._sizing.timeout.connect(self.fit)
+        self.view = _view(self.cells, self.delegate)
         self.order = _combo(
             ORDERS,
             "Order of the cells: as in the module, highest crack score or worst verdict first.",
@@ -130,7 +132,7 @@ class CellsDock(QWidget):
         self.view.selectionModel().currentChanged.connect(self._on_current)
         self.zoom.valueChanged.connect(self._sizing.start)
         self.view.clicked.connect(self._on_click)
-        self.view.walked.connect(self._on_walk)
+        self.view.moved_by_key.connect(self._on_key_move)
         self.view.resized.connect(self._sizing.start)
         self.view.doubleClicked.connect(self.open_cell)
         bind_review_keys(self._workbench, self, "Gallery")
@@ -141,13 +143,12 @@ class CellsDock(QWidget):
             self._workbench.shortcuts.add(key, self._to_module, within=self)
         if (place := large_cell(self._workbench)) is not None:
             place.toggled.connect(self._on_large)
-        listen(self._review.subject_changed, self._on_subject)
-        listen(self._review.listing_changed, self._relist)
-        listen(self._review.verdicts_changed, self._relist)
-        listen(self._review.marks_changed, self._on_marks)
-        listen(self._review.threshold_changed, self._on_threshold_changed)
+        listen(self._review.data.subject_changed, self._on_subject)
+        listen(self._review.listing.changed, self._on_listing)
+        listen(self._review.data.changed, self._on_review)
+        listen(self._review.data.threshold_changed, self._on_threshold_changed)
         listen(self._model.cell_selected, self._on_selected)
-        self._on_subject(self._review.subject)
+        self._on_subject(self._review.data.subject)
 
     @property
     def _model(self) -> WorkbenchModel:
@@ -175,39 +176,41 @@ class CellsDock(QWidget):
 
     def _on_subject(self, subject: Subject | None) -> None:
         self.cells.show_subject(self.devicePixelRatioF())
-        self.view.message = self._review.why_empty if subject is None else ""
+        self.view.message = self._review.data.why_empty if subject is None else ""
         self.view.viewport().update()
-        self._fit()
+        self.fit()
         # The height of the tiles may be another one.
-        self.view.setGridSize(self._delegate.tile())
-        self._on_threshold_changed(self._review.threshold)
+        self.view.setGridSize(self.delegate.tile())
+        self._on_threshold_changed(self._review.data.threshold)
         self._count()
         self._mark(self._model.selected_cell)
         if subject is not None:
             self.filled.emit()
 
-    def _relist(self) -> None:
-        if self.cells.relist():
+    def _on_listing(self) -> None:
+        self._show_list(self.cells.relist())
+
+    def _on_review(self, change: ReviewChange) -> None:
+        self._show_list(self.cells.follow(change))
+
+    def _show_list(self, is_another: bool) -> None:
+        if is_another:
             self._mark(self._model.selected_cell)
         else:
             self._caption()
 
-    def _on_marks(self, cell: Cell | None) -> None:
-        self.cells.forget(cell)
-        self._caption()
-
     def _on_order(self, text: str) -> None:
-        self._review.set_order(ORDERS[text])
+        self._review.listing.set_order(ORDERS[text])
 
     def _on_filter(self, k: int) -> None:
         if k in STATES:
-            self._review.set_filter(EVERY, states=(STATES[k],))
+            self._review.listing.set_filter(EVERY, states=(STATES[k],))
         elif (text := self.filter.itemText(k)) in FILTERS:
-            self._review.set_filter(FILTERS[text], text == DISPUTED)
+            self._review.listing.set_filter(FILTERS[text], text == DISPUTED)
 
     def _count(self) -> None:
         """Say how many cells are of each state."""
-        counts = self._review.counts
+        counts = self._review.cells.counts
         for k, state in STATES.items():
             number = "" if counts is None else f" ({counts[state]})"
             self.filter.setItemText(k, f"{state.value}{number}")
@@ -218,12 +221,12 @@ class CellsDock(QWidget):
         self.cells.set_opacity(percent / 100)
 
     def _on_threshold(self, percent: int) -> None:
-        self._review.set_threshold(percent / 100)
+        self._review.data.set_threshold(percent / 100)
 
     def _on_threshold_changed(self, threshold: float) -> None:
         with QSignalBlocker(self.threshold):
             self.threshold.setValue(round(100 * threshold))
-        self.cells.forget(None)
+        self.cells.paint_anew()
 
     def _on_current(self, index: QModelIndex, _: object = None) -> None:
         if index.isValid():
@@ -233,9 +236,9 @@ class CellsDock(QWidget):
         # The camera comes back also to the cell that is selected already.
         self._on_current(index)
         self._workbench.navigator.to_cell(*self.cells.cell(index))
-        self._on_walk()
+        self._on_key_move()
 
-    def _on_walk(self) -> None:
+    def _on_key_move(self) -> None:
         if self.large.isChecked():
             open_cell(self._workbench, alone=False)
 
@@ -248,9 +251,9 @@ class CellsDock(QWidget):
             place.back()
         self.view.setFocus()
 
-    def _fit(self) -> None:
+    def fit(self) -> None:
         """Give thumbnails the size that the slider says, or one that fits the module."""
-        subject, width = self._review.subject, self.zoom.value()
+        subject, width = self._review.data.subject, self.zoom.value()
         if subject is None:
             return
         if width < LEAST_PX // 2:
@@ -258,7 +261,7 @@ class CellsDock(QWidget):
             width = min(max(room // subject.tiles.grid.layout.cols - GAP, LEAST_PX), MOST_PX)
         if width != self.cells.thumbnail.width():
             self.cells.resize(width)
-            self.view.setGridSize(self._delegate.tile())
+            self.view.setGridSize(self.delegate.tile())
             self._mark(self._model.selected_cell)
 
     def _on_selected(self, cell: Cell | None) -> None:
@@ -280,7 +283,7 @@ class CellsDock(QWidget):
 
     def _caption(self) -> None:
         cell = self._model.selected_cell
-        if cell is None or self._review.subject is None:
+        if cell is None or self._review.data.subject is None:
             self.caption.setText(PLACE)
             return
         self.caption.setText("  |  ".join(cell_text(self._review, cell).splitlines()))
@@ -299,7 +302,7 @@ class _Gallery(QListView):
 
     elsewhere = False
     message = ""
-    walked = Signal()
+    moved_by_key = Signal()
     resized = Signal()
 
     def keyPressEvent(self, event: QKeyEvent) -> None:  # noqa: N802 (Qt's name)
@@ -307,7 +310,7 @@ class _Gallery(QListView):
         before = self.currentIndex()
         super().keyPressEvent(event)
         if self.currentIndex() != before:
-            self.walked.emit()
+            self.moved_by_key.emit()
 
     def resizeEvent(self, event: QResizeEvent) -> None:  # noqa: N802 (Qt's name)
         """Tell it."""

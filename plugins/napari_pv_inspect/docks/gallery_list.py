@@ -7,6 +7,7 @@ from qtpy.QtCore import QAbstractListModel, QModelIndex, QRect, QSize, Qt
 from qtpy.QtGui import QColor, QImage, QPainter, QPen, QPixmap
 from qtpy.QtWidgets import QStyle, QStyledItemDelegate, QStyleOptionViewItem
 
+from napari_pv_inspect.review.data import ReviewChange
 from napari_pv_inspect.review.model import ReviewModel
 from napari_pv_inspect.review.thumbnails import Thumbnails
 from napari_pv_inspect.widgets.model_index import ModelIndex
@@ -48,7 +49,7 @@ class CellList(QAbstractListModel):
 
     def resize(self, width: int) -> None:
         """Paint pictures of another width."""
-        subject = self._review.subject
+        subject = self._review.data.subject
         self._pictures.clear()
         self._thumbnails = None
         self.thumbnail = QSize(width, width)
@@ -60,7 +61,7 @@ class CellList(QAbstractListModel):
 
     def relist(self) -> bool:
         """List the cells again; returns whether the list is another one."""
-        order = self._review.listed
+        order = self._review.listing.cells
         if order == self._order:
             self.repaint()
             return False
@@ -77,15 +78,23 @@ class CellList(QAbstractListModel):
     def set_opacity(self, opacity: float) -> None:
         """Paint cracks more or less opaque, 0 to 1."""
         self._opacity = opacity
-        self.forget(None)
+        self.paint_anew()
 
-    def forget(self, cell: Cell | None) -> None:
-        """Paint a cell anew, or all of them."""
-        if cell is None:
-            self._pictures.clear()
-        else:
-            self._pictures.pop(cell, None)
+    def paint_anew(self) -> None:
+        """Paint the pictures of all cells anew."""
+        self._pictures.clear()
         self.repaint()
+
+    def follow(self, change: ReviewChange) -> bool:
+        """Show a change of the review; returns whether the list is another one."""
+        if change.all_marks:
+            self._pictures.clear()
+        for cell in change.marks:
+            self._pictures.pop(cell, None)
+        if change.verdicts:
+            return self.relist()
+        self.repaint()
+        return False
 
     def cell(self, index: ModelIndex) -> Cell:
         """Row and column of the cell at an index, from 0."""
@@ -107,19 +116,21 @@ class CellList(QAbstractListModel):
         if role == Qt.ItemDataRole.DisplayRole:
             return f"{cell[0] + 1} / {cell[1] + 1}"
         if role == Qt.ItemDataRole.DecorationRole:
-            return self._picture(cell)
+            return self.picture(cell)
         if role == Qt.ItemDataRole.ToolTipRole:
             return cell_text(self._review, cell)
         if role == CELL_ROLE:
             return cell
         return None
 
-    def _picture(self, cell: Cell) -> QPixmap | None:
+    def picture(self, cell: Cell) -> QPixmap | None:
+        """Thumbnail of a cell with its marks; None without a subject."""
         if self._thumbnails is None:
             return None
         if cell not in self._pictures:
-            mask = self._review.correction(cell)
-            painted = self._thumbnails.picture(cell, self._review.threshold, self._opacity, mask)
+            mask = self._review.cells.correction(cell)
+            threshold = self._review.data.threshold
+            painted = self._thumbnails.picture(cell, threshold, self._opacity, mask)
             self._pictures[cell] = _pixmap(painted, self._ratio)
         return self._pictures[cell]
 
@@ -153,12 +164,12 @@ class TileDelegate(QStyledItemDelegate):
         painter.drawPixmap(left, area.top(), picture)
         bar = QRect(area.left(), area.top() + room.height(), room.width(), BAR)
         self._paint_bar(painter, bar, cell, option)
-        for k, verdict in enumerate(self._review.others(cell)[:5]):
+        for k, verdict in enumerate(self._review.cells.others(cell)[:5]):
             _paint_other(painter, area.right() - 13 - 14 * k, area.top() + 2, verdict)
-        state = self._review.state_of(cell)
+        state = self._review.cells.state_of(cell)
         if state in _BADGES:
             _paint_badge(painter, area.left() + 2, area.top() + 2, _BADGES[state])
-        if self._review.is_disputed(cell):
+        if self._review.cells.is_disputed(cell):
             _paint_disputed(painter, QRect(area.left(), area.top(), room.width(), room.height()))
         if option.state & QStyle.StateFlag.State_Selected:
             painter.setPen(QPen(option.palette.text().color(), 2))
@@ -169,7 +180,7 @@ class TileDelegate(QStyledItemDelegate):
     def _paint_bar(
         self, painter: QPainter, bar: QRect, cell: Cell, option: QStyleOptionViewItem
     ) -> None:
-        verdict = self._review.verdict(cell)
+        verdict = self._review.cells.verdict(cell)
         name = f"{cell[0] + 1} / {cell[1] + 1}"
         font = painter.font()
         font.setPixelSize(11)
@@ -179,7 +190,7 @@ class TileDelegate(QStyledItemDelegate):
             painter.drawText(bar, Qt.AlignmentFlag.AlignCenter, name)
             return
         colour = QColor(verdict.kind.colour)
-        pending = self._review.is_pending(cell)
+        pending = self._review.cells.is_pending(cell)
         painter.fillRect(bar, colour)
         if pending:  # hatched until it is stored
             painter.fillRect(bar, Qt.BrushStyle.BDiagPattern)
@@ -195,17 +206,17 @@ _SHORT = {VerdictKind.INACTIVE: "inactive", VerdictKind.FINGER: "finger"}
 
 def cell_text(review: ReviewModel, cell: Cell) -> str:
     """Everything about a cell: features, verdicts, notes."""
-    features = review.features(cell)
+    features = review.cells.features(cell)
     place = f"Row {cell[0] + 1}, column {cell[1] + 1}"
     lines = [place if features is None else tooltip(features)]
-    if review.correction(cell) is not None:
+    if review.cells.correction(cell) is not None:
         lines.append("marks: corrected")
-    mine = review.verdict(cell)
-    for verdict in [*([mine] if mine else []), *review.others(cell)]:
+    mine = review.cells.verdict(cell)
+    for verdict in [*([mine] if mine else []), *review.cells.others(cell)]:
         note = f" ({verdict.note})" if verdict.note else ""
-        state = ", not stored yet" if verdict is mine and review.is_pending(cell) else ""
+        state = ", not stored yet" if verdict is mine and review.cells.is_pending(cell) else ""
         lines.append(f"{verdict.rater}: {verdict.kind.label}{note}{state}")
-    if review.is_disputed(cell):
+    if review.cells.is_disputed(cell):
         lines.append("the raters differ")
     return "\n".join(lines)
 

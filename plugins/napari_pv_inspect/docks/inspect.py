@@ -123,7 +123,7 @@ class InspectDock(QWidget):
         layout.addWidget(self.pages, 1)
         layout.addWidget(self.result)
         self._style = ThemedStyle(self, workbench.viewer)
-        self._calm = WheelNeedsFocus(self)
+        self._wheel_filter = WheelNeedsFocus(self)
         self.open_folder.clicked.connect(self._on_open_folder)
         self.open_files.clicked.connect(self._on_open_files)
         self.open_sample.clicked.connect(self._on_open_sample)
@@ -132,7 +132,7 @@ class InspectDock(QWidget):
         self.run.run_wanted.connect(self._on_run)
         self.run.cancel_wanted.connect(self._on_cancel)
         self.result.save_wanted.connect(self._on_save)
-        listen(workbench.review.state.folder_wanted, self._on_folder_wanted)
+        listen(workbench.review.state.storage.folder_wanted, self._on_folder_wanted)
         self.steps.wanted.connect(self._on_action)
         self.steps.step_clicked.connect(self._on_step)
         self.pages.currentChanged.connect(self._on_page)
@@ -176,18 +176,18 @@ class InspectDock(QWidget):
 
     def _on_sequence(self, sequence: FrameSequence | None) -> None:
         if sequence is None:
-            self._tell("Nothing is open.", "", "")
+            self.show_name("Nothing is open.", "", "")
             return
         height, width = sequence.shape
         facts = f"{len(sequence)} frames, {width} x {height} px"
         depth = sequence.bit_depth
         values = "computed values" if depth is None else f"{depth} bit"
-        self._tell(sequence.source.name, facts, f"{sequence.source}: {facts}, {values}")
+        self.show_name(sequence.source.name, facts, f"{sequence.source}: {facts}, {values}")
 
     def _on_result(self, result: Inspection) -> None:
-        self._tell(result.source.name, "a result without its frames", str(result.source))
+        self.show_name(result.source.name, "a result without its frames", str(result.source))
 
-    def _tell(self, name: str, facts: str, tip: str) -> None:
+    def show_name(self, name: str, facts: str, tip: str) -> None:
         """Say what is open."""
         self.name.setText(name)
         self.headline.setText(facts)
@@ -220,8 +220,8 @@ class InspectDock(QWidget):
     def _review(self) -> None:
         """Show the gallery, with a cell to begin with."""
         model, review = self.workbench.model, self.workbench.review.state
-        if review.subject is None:
-            model.notice(review.why_empty)
+        if review.data.subject is None:
+            model.notice(review.data.why_empty)
             return
         dock = dock_of(self.workbench.viewer.window.dock_widgets.get("Cells"))
         if dock is not None:
@@ -251,20 +251,20 @@ class InspectDock(QWidget):
     def _on_open_sample(self) -> None:
         self.workbench.open(sample_folder())
 
-    def _settle(self) -> None:
+    def _commit(self) -> None:
         """Finish edits that are under way, before a run reads the settings."""
         finish_typing()
-        self.workbench.history.settle()
+        self.workbench.history.commit()
 
     def _on_detect(self) -> None:
-        self._settle()
+        self._commit()
         self.workbench.runs.start(until=Stage.CALIBRATE)
 
     def _on_live(self) -> None:
         show_live_cell(self.workbench, self)
 
     def _on_run(self) -> None:
-        self._settle()
+        self._commit()
         self.workbench.runs.start()
 
     def _on_cancel(self) -> None:

@@ -45,9 +45,9 @@ class LargeCell(QWidget):
         self._workbench = workbench
         self._folded: list[tuple[QDockWidget, int, int]] = []
         self._then: Callable[[], None] | None = None
-        self._settle = QTimer(self)
-        self._settle.setSingleShot(True)
-        self._settle.timeout.connect(self._on_settled)
+        self._layout_timer = QTimer(self)
+        self._layout_timer.setSingleShot(True)
+        self._layout_timer.timeout.connect(self._on_laid_out)
         self.is_open = False
         self.view = CellDock(workbench.viewer)
         for button in (self.view.bar.back, self.view.bar.gallery):
@@ -59,11 +59,16 @@ class LargeCell(QWidget):
         central_layout(window).addWidget(self)
         self.view.back_wanted.connect(self.back)
         self.view.gallery_wanted.connect(self.toggle_gallery)
-        listen(workbench.review.state.subject_changed, self._on_subject)
+        listen(workbench.review.state.data.subject_changed, self._on_subject)
         listen(workbench.model.run_changed, self._on_run)
         listen(workbench.navigator.canvas_wanted, self._on_canvas_wanted)
         listen(workbench.session.page_turned, self._on_page)
         listen(workbench.closing, self._on_closing)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether something is done once the canvas is laid out."""
+        return self._layout_timer.isActive()
 
     def open(self, alone: bool) -> None:
         """Show the selected cell; ``alone``: with the gallery folded, and the keyboard."""
@@ -95,7 +100,7 @@ class LargeCell(QWidget):
         self._give_back()
         self.toggled.emit(False)
         # The canvas and the docks have their sizes when they are laid out.
-        self._settle.start()
+        self._layout_timer.start()
 
     def toggle_gallery(self) -> None:
         """Fold the gallery, or show it; the keyboard goes to what is shown."""
@@ -104,7 +109,7 @@ class LargeCell(QWidget):
             return
         if gallery.isHidden():
             gallery.show()
-            self._settle.start()
+            self._layout_timer.start()
             focus_gallery(self._workbench)
         else:
             self._fold(gallery)
@@ -144,7 +149,7 @@ class LargeCell(QWidget):
         # napari may store where the docks are.
         if self.is_open:
             self._give_back()
-        self._settle.stop()
+        self._layout_timer.stop()
         self._folded.clear()
         self._then = None
 
@@ -161,7 +166,7 @@ class LargeCell(QWidget):
         for dock, _, _ in self._folded:
             dock.show()
 
-    def _on_settled(self) -> None:
+    def _on_laid_out(self) -> None:
         """Give docks that came back the sizes that they had."""
         back = [entry for entry in self._folded if not entry[0].isHidden()]
         self._folded = [entry for entry in self._folded if entry not in back]
@@ -196,8 +201,8 @@ def open_cell(workbench: Workbench, alone: bool = True) -> None:
         Fold the gallery as well, and take the keyboard.
     """
     review = workbench.review.state
-    if review.subject is None:
-        workbench.model.notice(review.why_empty)
+    if review.data.subject is None:
+        workbench.model.notice(review.data.why_empty)
         return
     own = dock_of(workbench.viewer.window.dock_widgets.get("Cell"))
     if own is not None and own.isVisible():  # a dock that the user has placed, perhaps elsewhere

@@ -44,7 +44,7 @@ class LiveDock(QWidget):
         self.workbench = workbench = Workbench.of(napari_viewer)
         self._style = ThemedStyle(self, workbench.viewer)
         self._live = workbench.live_cell
-        self._picture: CellPicture | None = None
+        self.picture: CellPicture | None = None
         self._limits: tuple[float, float] | None = None
         self.view = SwipeView()
         self.shown = SideBox(Source.LIVE)
@@ -56,7 +56,7 @@ class LiveDock(QWidget):
         self.against.setToolTip("What is shown left of the divider: any of these, or a trial.")
         self.flicker = QCheckBox("Flicker")
         self.flicker.setToolTip(
-            "Show both in turns, twice a second: the eye catches what differs (F)."
+            "Alternate both pictures twice a second: differences stand out (F)."
         )
         self.contrast = QPushButton("Contrast")
         self.contrast.setToolTip("Fit black and white to this cell; both pictures share them.")
@@ -101,7 +101,7 @@ class LiveDock(QWidget):
         listen(workbench.tuning.changed, self._on_trials)
         if workbench.shortcuts is not None:
             for sequence, text, slot in (
-                ("F", "Flicker: both pictures in turns", self.flicker.toggle),
+                ("F", "Flicker: both pictures alternate", self.flicker.toggle),
                 ("Left", "Move the divider to the left", partial(self.view.step, -1)),
                 ("Right", "Move the divider to the right", partial(self.view.step, 1)),
                 ("Home", "Show only what stands right", partial(self.view.move_divider, 0.0)),
@@ -118,7 +118,7 @@ class LiveDock(QWidget):
         self._live.set_active(True)
 
     def hideEvent(self, event: QHideEvent) -> None:  # noqa: N802 (Qt's name)
-        """Compute nothing for nobody."""
+        """Compute nothing while it is not seen."""
         super().hideEvent(event)
         self._live.set_active(False)
 
@@ -129,9 +129,9 @@ class LiveDock(QWidget):
         self._on_change()
 
     def _on_picture(self, picture: CellPicture) -> None:
-        if self._picture is None or self._picture.cell != picture.cell:
+        if self.picture is None or self.picture.cell != picture.cell:
             self._limits = None
-        self._picture = picture
+        self.picture = picture
         if self._limits is None:
             self._limits = contrast_limits(picture.image)
         self.view.show_message("")
@@ -141,12 +141,12 @@ class LiveDock(QWidget):
 
     def _on_change(self, _: object = None) -> None:
         """Show what there is now, on both sides."""
-        if self._picture is None or self._limits is None:
+        if self.picture is None or self._limits is None:
             return
         before, before_text = self._side(self.against.choice)
         after, after_text = self._side(self.shown.choice)
         if after is None:
-            after, after_text = self._picture, Source.LIVE.value
+            after, after_text = self.picture, Source.LIVE.value
         image = None if before is None else grey_image(before.image, self._limits)
         self.view.show_before(image, before_text)
         self.view.show_after(grey_image(after.image, self._limits), after_text)
@@ -179,8 +179,8 @@ class LiveDock(QWidget):
             self.compare(self.against.choice)
 
     def _on_contrast(self) -> None:
-        if self._picture is not None:
-            self._limits = contrast_limits(self._picture.image)
+        if self.picture is not None:
+            self._limits = contrast_limits(self.picture.image)
             self._on_change()
 
     def _on_cell(self, _: object) -> None:
@@ -191,7 +191,7 @@ class LiveDock(QWidget):
 
     def _on_inspection(self, _: Inspection | None) -> None:
         if self._live.cell is None:
-            self._picture = None
+            self.picture = None
             self.view.show_before(None, "")
             self.view.show_after(None, "")
             self.view.show_message(self.workbench.model.frames_gone or NEED_A_RUN)

@@ -40,12 +40,12 @@ def show_live_cell(workbench: Workbench, controls: QWidget) -> LiveDock:
             return live
     live = LiveDock(workbench.viewer)
     place = workbench.viewer.window.add_dock_widget(live, name="Live cell", area="right")
-    beside = dock_of(controls)
-    if beside is not None and not beside.isFloating():
-        window.splitDockWidget(place, beside, Qt.Orientation.Horizontal)
-        place.visibilityChanged.connect(partial(_narrow, ref(beside), beside.width()))
+    neighbour = dock_of(controls)
+    if neighbour is not None and not neighbour.isFloating():
+        window.splitDockWidget(place, neighbour, Qt.Orientation.Horizontal)
+        place.visibilityChanged.connect(partial(_narrow, ref(neighbour), neighbour.width()))
         # Qt resizes docks only once they have been laid out; no dock, no call.
-        QTimer.singleShot(0, place, partial(_widen, window, place, beside))
+        QTimer.singleShot(0, place, partial(_widen, window, place, neighbour))
     # With two docks beside each other the full height is of more use than a wide gallery.
     window.setCorner(Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea)
     _fit_view(workbench, window)
@@ -60,15 +60,15 @@ def _fit_view(workbench: Workbench, window: QMainWindow) -> None:
 
 def _narrow(controls: ref[QDockWidget], width: int, shown: bool) -> None:
     """Give the room of a live cell that is closed to the canvas, not to the controls."""
-    beside = controls()
-    place = None if shown or beside is None else beside.parentWidget()
-    if isinstance(place, QMainWindow) and beside is not None and beside.isVisible():
-        QTimer.singleShot(0, beside, partial(_resize, place, [beside], [width]))
+    neighbour = controls()
+    place = None if shown or neighbour is None else neighbour.parentWidget()
+    if isinstance(place, QMainWindow) and neighbour is not None and neighbour.isVisible():
+        QTimer.singleShot(0, neighbour, partial(_resize, place, [neighbour], [width]))
 
 
-def _widen(window: QMainWindow, place: QDockWidget, beside: QDockWidget) -> None:
+def _widen(window: QMainWindow, place: QDockWidget, neighbour: QDockWidget) -> None:
     wanted = max(MIN_WIDTH, round(SHARE * window.width()))
-    _resize(window, [place, beside], [wanted, beside.width()])
+    _resize(window, [place, neighbour], [wanted, neighbour.width()])
 
 
 def _resize(window: QMainWindow, docks: list[QDockWidget], widths: list[int]) -> None:

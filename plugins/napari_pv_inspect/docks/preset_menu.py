@@ -41,9 +41,9 @@ class PresetMenu(QPushButton):
         self, model: WorkbenchModel, tuning: Tuning, parent: QWidget | None = None
     ) -> None:
         super().__init__("Presets", parent)
-        self._model = model
-        self._tuning = tuning
-        self.shelf = PresetStore()
+        self.model = model
+        self.tuning = tuning
+        self.store = PresetStore()
         self.setToolTip(
             "Settings of this page by name, for all modules: apply one, save those shown now, or "
             "go back to what is found automatically. The module's own settings stay."
@@ -60,19 +60,19 @@ class PresetMenu(QPushButton):
         menu = self.menu()
         menu.clear()
         self._add(menu, AUTOMATIC, "Everything as it comes: lambda and blur found from the frames.")
-        names = self.shelf.names()
+        names = self.store.names()
         if names:
             menu.addSeparator()
         for name in names:
             self._add(menu, name, "Take these settings over (Ctrl+Z takes it back).")
         menu.addSeparator()
-        save = menu.addAction("Save as...", self._on_save)
+        save = menu.addAction("Save as...", self.ask_to_keep)
         save.setToolTip("Keep the settings of this page under a name.")
         menu.addMenu(self._delete)
         self._delete.clear()
         self._delete.setEnabled(bool(names))
         for name in names:
-            self._delete.addAction(_shown(name), partial(self._on_delete, name))
+            self._delete.addAction(_shown(name), partial(self.ask_to_remove, name))
         menu.addSeparator()
         load = menu.addAction("Load from file...", self._on_load)
         load.setToolTip("Take the settings of this page from a file.")
@@ -82,52 +82,52 @@ class PresetMenu(QPushButton):
     def apply(self, name: str) -> None:
         """Take a preset over as one edit."""
         try:
-            preset = Settings() if name == AUTOMATIC else self.shelf.read(name)
+            preset = Settings() if name == AUTOMATIC else self.store.read(name)
         except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
+            self.model.notice(str(error), is_error=True)
         else:
-            self._tuning.apply(preset, PRESET_FIELDS, f"Preset {name}")
-            self._model.notice(f"Preset {name} applied.")
+            self.tuning.apply(preset, PRESET_FIELDS, f"Preset {name}")
+            self.model.notice(f"Preset {name} applied.")
 
     def keep(self, name: str) -> None:
         """Save the settings under a name."""
         try:
             if name.strip().casefold() == AUTOMATIC.casefold():
                 raise InspectionError(f"{AUTOMATIC} is there already: choose another name.")
-            name = self.shelf.save(name, self._model.settings)
+            name = self.store.save(name, self.model.settings)
         except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
+            self.model.notice(str(error), is_error=True)
         else:
-            self._model.notice(f"Preset {name} saved.")
+            self.model.notice(f"Preset {name} saved.")
 
     def remove(self, name: str) -> None:
         """Delete a preset."""
         try:
-            self.shelf.delete(name)
+            self.store.delete(name)
         except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
+            self.model.notice(str(error), is_error=True)
         else:
-            self._model.notice(f"Preset {name} deleted.")
+            self.model.notice(f"Preset {name} deleted.")
 
     def load(self, path: Path) -> None:
         """Take the settings in a file over as one edit."""
         try:
             preset = read_preset(path)
         except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
+            self.model.notice(str(error), is_error=True)
         else:
-            self._tuning.apply(preset, PRESET_FIELDS, f"Load preset {path.stem}")
-            self._model.notice(f"Preset {path.stem} loaded.")
+            self.tuning.apply(preset, PRESET_FIELDS, f"Load preset {path.stem}")
+            self.model.notice(f"Preset {path.stem} loaded.")
 
     def export(self, path: Path) -> None:
         """Write the settings into a file."""
         path = path if path.suffix else path.with_suffix(".toml")
         try:
-            write_preset(self._model.settings, path)
+            write_preset(self.model.settings, path)
         except InspectionError as error:
-            self._model.notice(str(error), is_error=True)
+            self.model.notice(str(error), is_error=True)
         else:
-            self._model.notice(f"Preset saved to {path}.")
+            self.model.notice(f"Preset saved to {path}.")
 
     def _add(self, menu: QMenu, name: str, tip: str) -> None:
         action = menu.addAction(_shown(name), partial(self.apply, name))
@@ -137,24 +137,26 @@ class PresetMenu(QPushButton):
 
     def _is_shown(self, name: str) -> bool:
         try:
-            preset = Settings() if name == AUTOMATIC else self.shelf.read(name)
+            preset = Settings() if name == AUTOMATIC else self.store.read(name)
         except InspectionError:
             return False
-        now = self._model.settings
+        now = self.model.settings
         return all(getattr(preset, field) == getattr(now, field) for field in PRESET_FIELDS)
 
-    def _on_save(self) -> None:
+    def ask_to_keep(self) -> None:
+        """Ask for a name and save the settings under it."""
         name, given = QInputDialog.getText(self, "Save preset", "Name of the preset:")
         if not given:
             return
-        old = self.shelf.known(name)
+        old = self.store.known(name)
         if old is not None:
             answer = QMessageBox.question(self, "Save preset", f"Replace the preset {old!r}?")
             if answer != QMessageBox.StandardButton.Yes:
                 return
         self.keep(name)
 
-    def _on_delete(self, name: str) -> None:
+    def ask_to_remove(self, name: str) -> None:
+        """Ask whether to delete a preset, and do so."""
         answer = QMessageBox.question(self, "Delete preset", f"Delete the preset {name!r}?")
         if answer == QMessageBox.StandardButton.Yes:
             self.remove(name)

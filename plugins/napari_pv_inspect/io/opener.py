@@ -8,14 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from napari.qt.threading import FunctionWorker, create_worker
 from psygnal import Signal
-from qtpy.QtCore import QObject, QThreadPool
+from qtpy.QtCore import QObject
 
 from napari_pv_inspect import reader
 from napari_pv_inspect.layers.layer_data import open_sequence
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.tasks.guard import attempt
+from napari_pv_inspect.tasks.latest import LatestOnly
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
@@ -96,8 +95,9 @@ class Opener(QObject):
     def __init__(self, model: WorkbenchModel) -> None:
         super().__init__()
         self._model = model
-        self._worker: FunctionWorker | None = None
-        self._ticket = 0
+        self._latest = LatestOnly(
+            self._on_opened, self._on_failure, failure="It can't be opened", at_once=True
+        )
         self._read_with: References = (None, None)
         self._putting: References | None = None
         self._again = False
@@ -109,7 +109,7 @@ class Opener(QObject):
     @property
     def busy(self) -> bool:
         """Whether something is being opened."""
-        return self._worker is not None
+        return self._latest.busy
 
     def open(self, path: Any) -> None:
         """Put the frames or the result at a path, or a list of frames, into the workbench."""
@@ -126,41 +126,26 @@ class Opener(QObject):
             self._name = result.source.name
             self._start(open_result, result)
 
-    def close(self, wait_ms: int = 3000) -> None:
+    def close(self, wait_s: float = 3.0) -> None:
         """Open nothing more; wait briefly for the thread."""
         self._model.settings_changed.disconnect(self._on_settings)
         self._model.sequence_changed.disconnect(self._on_sequence)
         self.may_leave = _always
-        if self._worker is not None:
-            self._drop()
-            QThreadPool.globalInstance().waitForDone(wait_ms)
+        self._latest.close(wait_s)
 
     def _start(self, work: Callable[..., Opened], *given: Any) -> None:
-        self._drop()
-        self._ticket += 1
         self._again = work is open_again
-        worker = create_worker(_opened, self._ticket, work, *given, _start_thread=False)
-        worker.returned.connect(self._on_return)
-        self._worker = worker
-        worker.start()
+        self._latest.ask(partial(work, *given))
 
-    def _drop(self) -> None:
-        if self._worker is not None:
-            self._worker.returned.disconnect(self._on_return)
-            self._worker = None
+    def _on_failure(self, error: InspectionError) -> None:
+        self._name = ""
+        if self._again:
+            self._set_references_back()
+        self._model.notice(str(error), is_error=True)
 
-    def _on_return(self, answer: tuple[int, Opened]) -> None:
-        ticket, opened = answer
-        if ticket != self._ticket or self._worker is None:
-            return
-        self._worker = None
+    def _on_opened(self, opened: Opened) -> None:
         name, self._name = self._name, ""
         model = self._model
-        if opened.sequence is None and opened.result is None:
-            if self._again:
-                self._set_references_back()
-            model.notice(opened.trouble, is_error=True)
-            return
         if name:
             model.notice(f"Opened {name}.")
         self._putting = opened.references
@@ -190,7 +175,7 @@ class Opener(QObject):
             if self._name:
                 self._model.notice("")
                 self._name = ""
-            self._drop()
+            self._latest.cancel()
         self._read_with = self._putting or (None, None)
 
     def _on_settings(self, settings: Settings) -> None:
@@ -209,8 +194,3 @@ class Opener(QObject):
 
 def _always() -> bool:
     return True
-
-
-def _opened(ticket: int, work: Callable[..., Opened], *given: Any) -> tuple[int, Opened]:
-    opened = attempt(partial(work, *given), "It can't be opened")
-    return ticket, Opened(trouble=str(opened)) if isinstance(opened, InspectionError) else opened

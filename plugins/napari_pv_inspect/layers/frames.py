@@ -32,11 +32,10 @@ class FramesLayer:
         self._model = model
         self._slot = LayerSlot(viewer, Image)
         model.sequence_changed.connect(self._on_sequence)
-        model.inspection_changed.connect(self._on_inspection)
-        model.settings_changed.connect(self._on_inspection)
+        model.changed.connect(self._caption)
         viewer.dims.events.current_step.connect(self._on_step)
 
-    def adopt(self, layer: Layer) -> bool:
+    def take_layer(self, layer: Layer) -> bool:
         """Make a layer of the reader the frames layer; False if it carries no sequence."""
         sequence = layer.metadata.get(SEQUENCE_KEY)
         if not isinstance(sequence, FrameSequence) or layer is self._slot.layer:
@@ -44,7 +43,7 @@ class FramesLayer:
         if (earlier := self._slot.layer) is not None:
             self._slot.drop()
             layer.name = earlier.name
-        self._slot.adopt(layer)
+        self._slot.use(layer)
         if sequence is not self._model.sequence:
             self._model.open(sequence)
         return True
@@ -78,12 +77,8 @@ class FramesLayer:
             data, attributes, _ = sequence_layer(sequence)
             layer = Image(data, **{**attributes, "name": FRAMES})
             # The slot knows the layer before the viewer tells that it was added.
-            self._slot.adopt(layer)
+            self._slot.use(layer)
             self._viewer.add_layer(layer)
-        self._caption()
-
-    def _on_inspection(self, _: object) -> None:
-        self._caption()
 
     def _on_step(self, _: Any = None) -> None:
         self._caption()

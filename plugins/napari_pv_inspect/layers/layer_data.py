@@ -8,19 +8,10 @@ from typing import Any
 import dask
 import dask.array as da
 import numpy as np
-from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 
-from napari_pv_inspect.appearance import (
-    CONSISTENCY,
-    CONSISTENCY_LIMITS,
-    CRACKS,
-    FRAMES,
-    MODULE,
-    SUPPORT,
-    contrast_limits,
-    crack_colormap,
-)
+from napari_pv_inspect.appearance import FRAMES, MODULE, contrast_limits
+from napari_pv_inspect.layers.attributes import MODULE_PARTS, attributes_of
 from pv_inspect.cracks import CrackMap
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -40,7 +31,7 @@ __all__ = [
 
 LayerData = tuple[Any, dict[str, Any], str]
 
-# Under these keys of its metadata a layer carries what it shows; the workbench adopts such layers.
+# Under these keys of its metadata a layer carries what it shows; the workbench updates such layers.
 SEQUENCE_KEY = "pv_inspect.sequence"
 RESULT_KEY = "pv_inspect.result"
 PART_KEY = "pv_inspect.part"
@@ -87,42 +78,16 @@ def sequence_layer(sequence: FrameSequence) -> LayerData:
 
 
 def result_layers(folder: Path) -> list[LayerData]:
-    """Return module image, support and cracks of a result folder, the image carrying the result."""
+    """Return the images of a result folder as layers, the module image carrying the result."""
     result = read_result(folder)
     made, found = result.need(Reconstruction), result.need(CrackMap)
-    image = {
-        "name": MODULE,
-        "contrast_limits": contrast_limits(made.image),
-        "colormap": "gray",
-        "metadata": {RESULT_KEY: result, PART_KEY: MODULE},
-    }
-    support = {
-        "name": SUPPORT,
-        "metadata": {PART_KEY: SUPPORT},
-        "contrast_limits": (0.0, 1.0),
-        "colormap": "viridis",
-        "visible": False,
-    }
-    consistency = {
-        "name": CONSISTENCY,
-        "metadata": {PART_KEY: CONSISTENCY},
-        "contrast_limits": CONSISTENCY_LIMITS,
-        "colormap": "magma",
-        "visible": False,
-    }
-    cracks = {
-        "name": CRACKS,
-        "metadata": {PART_KEY: CRACKS},
-        "contrast_limits": (0.0, 1.0),
-        "colormap": Colormap(**crack_colormap()),
-        "blending": "translucent",
-        "opacity": 0.75,
-    }
+    own: dict[str, dict[str, Any]] = {part: {PART_KEY: part} for part in MODULE_PARTS}
+    own[MODULE][RESULT_KEY] = result
+    attributes = {part: {**attributes_of(part), "metadata": own[part]} for part in MODULE_PARTS}
+    attributes[MODULE]["contrast_limits"] = contrast_limits(made.image)
+    images = (made.image, made.support, made.consistency, found.probability)
     return [
-        (made.image, image, "image"),
-        (made.support, support, "image"),
-        (made.consistency, consistency, "image"),
-        (found.probability, cracks, "image"),
+        (image, attributes[part], "image") for image, part in zip(images, MODULE_PARTS, strict=True)
     ]
 
 

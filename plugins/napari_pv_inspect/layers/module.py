@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from napari.components import ViewerModel
 from napari.layers import Image, Layer
-from napari.utils.colormaps import Colormap
 from numpy.typing import NDArray
 from psygnal import Signal
 
 from napari_pv_inspect import appearance
+from napari_pv_inspect.layers.attributes import MODULE_PARTS, attributes_of
 from napari_pv_inspect.layers.layer_data import PART_KEY
 from napari_pv_inspect.layers.placement import Placement, module_placement
 from napari_pv_inspect.layers.slot import LayerSlot
@@ -42,38 +42,10 @@ class ModuleLayers:
         self.grid: HrGrid | None = None
         self.shape = (0, 0)
         self._contrast_is_final = False
-        self._image = LayerSlot(viewer, Image, name=appearance.MODULE, colormap="gray")
-        self._support = LayerSlot(
-            viewer,
-            Image,
-            name=appearance.SUPPORT,
-            colormap="viridis",
-            contrast_limits=(0.0, 1.0),
-            visible=False,
-        )
-        self._consistency = LayerSlot(
-            viewer,
-            Image,
-            name=appearance.CONSISTENCY,
-            colormap="magma",
-            contrast_limits=appearance.CONSISTENCY_LIMITS,
-            visible=False,
-        )
-        self._cracks = LayerSlot(
-            viewer,
-            Image,
-            name=appearance.CRACKS,
-            colormap=Colormap(**appearance.crack_colormap()),
-            contrast_limits=(0.0, 1.0),
-            blending="translucent",
-            opacity=0.75,
-        )
         self._slots = {
-            appearance.MODULE: self._image,
-            appearance.SUPPORT: self._support,
-            appearance.CONSISTENCY: self._consistency,
-            appearance.CRACKS: self._cracks,
+            part: LayerSlot(viewer, Image, **attributes_of(part)) for part in MODULE_PARTS
         }
+        self._image, self._support, self._consistency, self._cracks = self._slots.values()
         model.sequence_changed.connect(self._on_sequence)
         model.inspection_changed.connect(self._on_inspection)
         model.result_opened.connect(self._on_inspection)
@@ -88,11 +60,11 @@ class ModuleLayers:
         grid = HrGrid.covering(inspection.layout, scale, self._model.run_settings.magnification)
         self._put_image(image, grid)
         self._shown = None
-        # An overlay of an earlier image would lie about this one.
+        # An overlay of an earlier image does not belong to this one.
         self._support.hide_until_put()
         self._consistency.hide_until_put()
         self._cracks.hide_until_put()
-        self._know_cracks(None)
+        self._set_cracks(None)
 
     def _on_sequence(self, _: FrameSequence | None) -> None:
         self._clear()
@@ -102,7 +74,7 @@ class ModuleLayers:
             slot.drop()
         self._contrast_is_final = False
         self._shown = self.placement = self.grid = None
-        self._know_cracks(None)
+        self._set_cracks(None)
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
@@ -130,7 +102,7 @@ class ModuleLayers:
         cracks = None if inspection.cracks is None else inspection.cracks.probability
         if cracks is not None and cracks is not self.cracks:
             self.put_cracks(cracks)
-            self._know_cracks(cracks)
+            self._set_cracks(cracks)
 
     def _on_settings(self, _: Settings) -> None:
         # A hidden image comes back with its rows and columns.
@@ -158,14 +130,14 @@ class ModuleLayers:
             place = self.placement
             self._cracks.put(cracks, scale=place.scale, translate=place.translate)
 
-    def adopt(self, layer: Layer) -> None:
+    def take_layer(self, layer: Layer) -> None:
         """Make a layer of the reader ours, in place of the one that was."""
         slot = self._slots.get(layer.metadata.get(PART_KEY))
         if slot is not None and slot.layer is not layer:
             slot.drop()
-            slot.adopt(layer)
+            slot.use(layer)
 
-    def _know_cracks(self, cracks: NDArray[np.float32] | None) -> None:
+    def _set_cracks(self, cracks: NDArray[np.float32] | None) -> None:
         self.cracks = cracks
         self.cracks_shown.emit(cracks)
 

@@ -79,6 +79,16 @@ class PointsLayer:
         self._viewer.dims.events.current_step.disconnect(self._on_step)
 
     @property
+    def layer(self) -> Points | None:
+        """The layer, None while there are no points or the user has deleted it."""
+        return self._slot.layer
+
+    @property
+    def marks(self) -> CrossingMarks | None:
+        """What the layer shows, a row for each of its points."""
+        return self._marks
+
+    @property
     def mode(self) -> str:
         """What the mouse does on the layer, as napari calls it: "select", "add", "pan_zoom"."""
         layer = self._slot.layer

@@ -80,8 +80,8 @@ class LayerSlot:
             self._visible_before = layer.visible
             layer.visible = False
 
-    def adopt(self, layer: Layer) -> None:
-        """Take a layer that something else has added to the viewer."""
+    def use(self, layer: Layer) -> None:
+        """Hold a layer that something else has added to the viewer."""
         self._layer = layer
 
     def drop(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import Enum
 from functools import partial
 
@@ -20,16 +20,17 @@ from napari_pv_inspect.live.cell_renderer import (
 from napari_pv_inspect.models.cell_picture import CellPicture
 from napari_pv_inspect.models.trials import LIVE_FIELDS, Trial, Tuning
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.tasks.guard import attempt
-from napari_pv_inspect.tasks.newest_request import Job, NewestWins
+from napari_pv_inspect.tasks.latest import BackgroundThread, LatestOnly, Work
+from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.settings import Settings
 
 __all__ = ["LiveCell", "Source"]
 
 
-# A slider that rests so long has settled.
-SETTLE_MS = 400
+# A slider that was not moved for so long is at rest.
+REST_MS = 400
+CLOSE_S = 2.0
 KEPT = 64
 
 
@@ -59,24 +60,29 @@ class LiveCell(QObject):
     """CellPicture of the selected cell with the settings of the controls."""
     reference_ready = Signal()
     failed = Signal(str)
-    _arrived = Signal(object, object, object)
 
     def __init__(self, model: WorkbenchModel, tuning: Tuning) -> None:
         super().__init__()
         self._model = model
         self.tuning = tuning
-        self._worker = NewestWins("live", "beside")
-        self._live, self._beside = CellRenderer(), CellRenderer()
+        # The live picture goes before what it is compared with.
+        thread, failure = BackgroundThread("live cell"), "This cell can't be shown"
+        self._live = LatestOnly(
+            self._on_picture, self._on_failure, failure=failure, thread=thread, older_count=True
+        )
+        self._reference = LatestOnly(
+            self._on_reference, self._on_reference_failure, failure=failure, thread=thread
+        )
+        self._renderer, self._reference_renderer = CellRenderer(), CellRenderer()
         self.active = self._closed = False
         self._asked: Key = ()
-        self._asked_beside: Key | None = None
+        self._asked_reference: Key | None = None
         self._basis: Key = ()
         self._references: dict[Key, CellPicture] = {}
-        self._settle = QTimer(self)
-        self._settle.setSingleShot(True)
-        self._settle.setInterval(SETTLE_MS)
-        self._settle.timeout.connect(self._on_rest)
-        self._arrived.connect(self._on_arrival, Qt.ConnectionType.QueuedConnection)
+        self._rest = QTimer(self)
+        self._rest.setSingleShot(True)
+        self._rest.setInterval(REST_MS)
+        self._rest.timeout.connect(self._on_rest)
         model.settings_changed.connect(self._on_settings)
         model.inspection_changed.connect(self._on_inspection)
         model.cell_selected.connect(self._on_cell)
@@ -98,19 +104,19 @@ class LiveCell(QObject):
         if active:
             self._ask()
         else:
-            self._asked, self._asked_beside = (), None
-            self._worker.clear()
+            self._forget_requests()
 
     def close(self) -> None:
         """Stop for good."""
         self._closed = True
-        self._settle.stop()
-        self._worker.close()
+        self._rest.stop()
+        self._reference.close()
+        self._live.close(CLOSE_S)
 
-    def settle(self) -> None:
-        """Take the settings as settled now."""
-        self._settle.stop()
-        self.tuning.settle()
+    def commit(self) -> None:
+        """Take the settings as final now, as if the controls had rested."""
+        self._rest.stop()
+        self.tuning.commit()
 
     def reference(self, what: Source | Trial) -> CellPicture | None:
         """Return what to compare with if it is known; else ask for it (`reference_ready`)."""
@@ -122,29 +128,26 @@ class LiveCell(QObject):
         if what is Source.BICUBIC:
             magnification = inspection.settings.magnification
             key: Key = ("bicubic", cell)
-            return self._known_or_asked(
-                key, partial(self._rectify, key, inspection, cell, magnification)
-            )
+            return self._known_or_asked(key, partial(bicubic_cell, inspection, cell, magnification))
         trial = what if isinstance(what, Trial) else self.tuning.before
         if trial is None:
             return None
         if trial.picture.cell == cell:
             return trial.picture
         key = (trial.number, cell)
-        return self._known_or_asked(
-            key, partial(self._render_beside, key, inspection, cell, trial.settings)
-        )
+        pictures = partial(self._reference_renderer.pictures, inspection, cell, trial.settings)
+        return self._known_or_asked(key, partial(_finished, pictures))
 
     @property
     def _inspection(self) -> Inspection | None:
         inspection = self._model.inspection
         return None if inspection is None or inspection.registration is None else inspection
 
-    def _known_or_asked(self, key: Key, job: Job) -> CellPicture | None:
+    def _known_or_asked(self, key: Key, work: Work) -> CellPicture | None:
         # One at a time: whoever waits asks again when it is ready.
-        if key not in self._references and self._asked_beside is None and not self._closed:
-            self._asked_beside = key
-            self._worker.submit("beside", job)
+        if key not in self._references and self._asked_reference is None and not self._closed:
+            self._asked_reference = key
+            self._reference.ask(work)
         return self._references.get(key)
 
     def _ask(self) -> None:
@@ -156,96 +159,36 @@ class LiveCell(QObject):
         key = (cell, fields)
         if self._asked != key:
             self._asked = key
-            self._worker.submit("live", partial(self._render, inspection, cell, settings))
+            hurry = self._live.superseded
+            self._live.ask(partial(self._renderer.pictures, inspection, cell, settings, hurry))
 
-    # The following run in the thread of the worker.
+    def _forget_requests(self) -> None:
+        self._asked, self._asked_reference = (), None
+        self._live.cancel()
+        self._reference.cancel()
 
-    def _render(
-        self,
-        inspection: Inspection,
-        cell: tuple[int, int],
-        settings: Settings,
-        superseded: Callable[[], bool],
-    ) -> bool:
-        def work() -> None:
-            shown = False
-            for picture in self._live.pictures(inspection, cell, settings, superseded):
-                if picture is not None:
-                    self._tell(inspection, None, picture)
-                    shown = True
-                # Not before the first picture, or a moving slider would never show one.
-                if self._closed or (shown and superseded()):
-                    return
+    def _on_picture(self, picture: CellPicture) -> None:
+        if picture.cell == self.cell:
+            self.pictured.emit(picture)
+            self.tuning.pictured(picture)
 
-        self._attempt(inspection, work)
-        return True
+    def _on_failure(self, error: InspectionError) -> None:
+        self.failed.emit(str(error))
 
-    def _render_beside(
-        self,
-        key: Key,
-        inspection: Inspection,
-        cell: tuple[int, int],
-        settings: Settings,
-        superseded: Callable[[], bool],
-    ) -> bool:
-        done = True
-
-        def work() -> None:
-            nonlocal done
-            for picture in self._beside.pictures(inspection, cell, settings):
-                if picture is not None and picture.finished:
-                    self._tell(inspection, key, picture)
-                elif superseded():
-                    done = False
-                    return
-
-        self._attempt(inspection, work)
-        return done
-
-    def _rectify(
-        self,
-        key: Key,
-        inspection: Inspection,
-        cell: tuple[int, int],
-        magnification: float,
-        _: Callable[[], bool],
-    ) -> bool:
-        def work() -> None:
-            self._tell(inspection, key, bicubic_cell(inspection, cell, magnification))
-
-        self._attempt(inspection, work)
-        return True
-
-    def _attempt(self, inspection: Inspection, work: Callable[[], None]) -> None:
-        failure = attempt(work, "This cell can't be shown")
-        if failure is not None:
-            self._tell(inspection, None, str(failure))
-
-    def _tell(self, inspection: Inspection, key: Key | None, what: CellPicture | str) -> None:
-        if not self._closed:
-            self._arrived.emit(inspection, key, what)
-
-    # And these in the main thread again.
-
-    def _on_arrival(self, inspection: Inspection, key: Key | None, what: CellPicture | str) -> None:
-        # Of another sequence or geometry, by now: what was under way then could not be called back.
-        if self._closed or not same_basis(basis_of(inspection), self._basis):
-            return
-        if isinstance(what, str):
-            self._asked_beside = None
-            self.failed.emit(what)
-        elif key is not None:
-            self._references[key] = what
-            self._asked_beside = None
+    def _on_reference(self, picture: CellPicture) -> None:
+        key, self._asked_reference = self._asked_reference, None
+        if key is not None:
+            self._references[key] = picture
             for old in list(self._references)[:-KEPT]:
                 del self._references[old]
-            self.reference_ready.emit()
-        elif what.cell == self.cell:
-            self.pictured.emit(what)
-            self.tuning.pictured(what)
+        self.reference_ready.emit()
+
+    def _on_reference_failure(self, error: InspectionError) -> None:
+        self._asked_reference = None
+        self.failed.emit(str(error))
 
     def _on_settings(self, _: Settings) -> None:
-        self._settle.start()
+        self._rest.start()
         self._ask()
 
     def _on_cell(self, _: object) -> None:
@@ -255,14 +198,19 @@ class LiveCell(QObject):
         basis = basis_of(self._model.inspection)
         if not same_basis(basis, self._basis):
             self._basis = basis
-            self._asked, self._asked_beside = (), None
             self._references.clear()
-            self._worker.clear()
+            self._forget_requests()
             self._ask()
 
     def _on_rest(self) -> None:
         if QApplication.mouseButtons() != Qt.MouseButton.NoButton:
             # The slider is still being dragged.
-            self._settle.start()
+            self._rest.start()
         else:
-            self.settle()
+            self.commit()
+
+
+def _finished(pictures: Callable[[], Iterator[CellPicture | None]]) -> Iterator[CellPicture | None]:
+    """Leave out the pictures that are not finished; None where the work can be given up."""
+    for picture in pictures():
+        yield picture if picture is not None and picture.finished else None

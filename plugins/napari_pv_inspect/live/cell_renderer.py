@@ -42,7 +42,7 @@ class CellRenderer:
     def __init__(self) -> None:
         self._known: tuple[object, ...] = ()
         self._base: Preview | None = None
-        self._moved_for: tuple[object, ...] = ()
+        self._registered_for: tuple[object, ...] = ()
         self._preview: Preview | None = None
 
     def pictures(
@@ -95,16 +95,16 @@ class CellRenderer:
         if self._base is None or not same_basis(self._known, basis_of(inspection)):
             self._base = Preview(inspection.frames, registration, whole)
             self._known = basis_of(inspection)
-            self._moved_for, self._preview = (), self._base
+            self._registered_for, self._preview = (), self._base
         wanted = (settings.kappa, settings.skip_frames)
-        if wanted != self._moved_for or self._preview is None:
+        if wanted != self._registered_for or self._preview is None:
             there = registration_for(inspection, settings)
             self._preview = (
                 self._base
                 if there is registration
                 else (self._preview or self._base).with_registration(there)
             )
-            self._moved_for = wanted
+            self._registered_for = wanted
         return self._preview
 
 
@@ -172,7 +172,7 @@ def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | 
 
 
 def basis_of(inspection: Inspection | None) -> tuple[object, ...]:
-    """Return what pictures of an inspection are made of, beside the settings."""
+    """Return what pictures of an inspection are made of, apart from the settings."""
     return () if inspection is None else (inspection.registration, inspection.reconstruction)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from psygnal import Signal
 
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from napari_pv_inspect.tasks.newest_answer import NewestAnswer
+from napari_pv_inspect.tasks.latest import LatestOnly
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.calibration.refit import residual_over_kappa
 from pv_inspect.detection.crossings import Crossings
@@ -57,23 +57,22 @@ class KappaCurve:
         self._model = model
         self.curve: Curve | None = None
         self._of: Calibration | None = None
-        self._newest = NewestAnswer(self._on_curve, REST_MS)
+        self._latest = LatestOnly(self._set, self._on_failure, delay_ms=REST_MS)
+        model.sequence_changed.connect(self._forget)
         model.inspection_changed.connect(self._on_inspection)
 
     @property
     def busy(self) -> bool:
         """Whether a curve is still to come."""
-        return self._newest.busy
+        return self._latest.busy
 
     def close(self) -> None:
         """Compute no more curves."""
-        self._newest.close()
+        self._latest.close()
 
     def _on_inspection(self, inspection: Inspection | None) -> None:
         if inspection is None:
-            self._of = None
-            self._newest.drop()
-            self._set(None)
+            self._forget()
             return
         fit, crossings = inspection.calibration, inspection.crossings
         idle = self._model.run_state is RunState.IDLE
@@ -82,11 +81,16 @@ class KappaCurve:
         self._of = fit
         kappa = float(fit.camera.kappa)
         kappas = np.unique(np.append(np.linspace(*Settings.slider_of("kappa"), N_KAPPAS), kappa))
-        self._newest.ask(partial(_curve, crossings, fit, kappas))
+        self._latest.ask(partial(_curve, crossings, fit, kappas))
 
-    def _on_curve(self, answer: Curve | InspectionError) -> None:
+    def _forget(self, _: object = None) -> None:
+        self._of = None
+        self._latest.cancel()
+        self._set(None)
+
+    def _on_failure(self, _: InspectionError) -> None:
         # A curve is an extra: without it nothing is lost.
-        self._set(answer if isinstance(answer, Curve) else None)
+        self._set(None)
 
     def _set(self, curve: Curve | None) -> None:
         if curve is not self.curve:

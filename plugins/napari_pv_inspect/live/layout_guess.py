@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from napari.qt.threading import create_worker
-
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from napari_pv_inspect.tasks.guard import attempt
+from napari_pv_inspect.tasks.latest import LatestOnly
 from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.errors import InspectionError
 from pv_inspect.sequence.sequence import FrameSequence
@@ -22,6 +20,12 @@ class LayoutGuesser:
     def __init__(self, model: WorkbenchModel) -> None:
         self._model = model
         self._asked: tuple[FrameSequence, tuple[float, float] | None] | None = None
+        self._latest = LatestOnly(
+            self._on_guess,
+            self._on_failure,
+            failure="Rows and columns could not be guessed",
+            at_once=True,
+        )
         model.sequence_changed.connect(self._on_sequence)
         model.settings_changed.connect(self._on_settings)
 
@@ -29,11 +33,11 @@ class LayoutGuesser:
         """Start no more guesses; one that is under way is not listened to."""
         self._model.sequence_changed.disconnect(self._on_sequence)
         self._model.settings_changed.disconnect(self._on_settings)
-        self._asked = None
+        self._latest.close()
 
     def _on_sequence(self, sequence: FrameSequence | None) -> None:
-        self._model.guessing = False
         self._asked = None
+        self._latest.cancel()
         if sequence is not None and not is_known(sequence, self._model.settings):
             self._guess(sequence, self._model.settings)
 
@@ -46,19 +50,13 @@ class LayoutGuesser:
             self._guess(self._asked[0], unknown)
 
     def _guess(self, sequence: FrameSequence, settings: Settings) -> None:
-        asked = self._asked = (sequence, settings.module_at)
-        self._model.guessing = True
+        self._asked = (sequence, settings.module_at)
+        self._model.set_guessing(True)
+        self._latest.ask(partial(guess_layout, sequence, settings, settings.module_at))
 
-        def answer(guess: LayoutGuess | None) -> None:
-            if self._asked is asked:
-                self._model.offer_layout(sequence, guess)
+    def _on_guess(self, guess: LayoutGuess | None) -> None:
+        if self._asked is not None:
+            self._model.offer_layout(self._asked[0], guess)
 
-        worker = create_worker(_guess_or_none, sequence, settings)
-        worker.returned.connect(answer)
-        worker.start()
-
-
-def _guess_or_none(sequence: FrameSequence, settings: Settings) -> LayoutGuess | None:
-    work = partial(guess_layout, sequence, settings, settings.module_at)
-    guess = attempt(work, "Rows and columns could not be guessed")
-    return None if isinstance(guess, InspectionError) else guess
+    def _on_failure(self, _: InspectionError) -> None:
+        self._on_guess(None)

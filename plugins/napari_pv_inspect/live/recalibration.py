@@ -6,7 +6,7 @@ from functools import partial
 
 from napari_pv_inspect.models.point_editor import PointEditor
 from napari_pv_inspect.models.workbench import RunState, WorkbenchModel
-from napari_pv_inspect.tasks.newest_answer import NewestAnswer
+from napari_pv_inspect.tasks.latest import LatestOnly
 from pv_inspect.calibration.calibrate import Calibration, calibrate
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
@@ -24,7 +24,7 @@ class Recalibration:
 
     def __init__(self, model: WorkbenchModel, editor: PointEditor) -> None:
         self._model = model
-        self._newest = NewestAnswer(self._on_fit, REST_MS)
+        self._latest = LatestOnly(self._on_fit, self._on_failure, delay_ms=REST_MS)
         self._for: Inspection | None = None
         self._editor = editor
         editor.changed.connect(self._on_edit)
@@ -33,11 +33,11 @@ class Recalibration:
     @property
     def busy(self) -> bool:
         """Whether a fit is still to come."""
-        return self._newest.busy
+        return self._latest.busy
 
     def close(self) -> None:
         """Start no more fits."""
-        self._newest.close()
+        self._latest.close()
 
     def _on_edit(self, _: object = None) -> None:
         inspection = self._model.inspection
@@ -51,15 +51,16 @@ class Recalibration:
             or self._model.run_state is not RunState.IDLE
         ):
             self._for = None
-            self._newest.drop()
+            self._latest.cancel()
         elif inspection is not self._for:
             self._for = inspection
             shape, settings = inspection.frames.shape, inspection.settings
-            self._newest.ask(partial(calibrate, crossings, shape, settings))
+            self._latest.ask(partial(calibrate, crossings, shape, settings))
 
-    def _on_fit(self, answer: Calibration | InspectionError) -> None:
+    def _on_fit(self, fit: Calibration) -> None:
         inspection = self._model.inspection
-        if isinstance(answer, InspectionError):
-            self._model.notice(str(answer), is_error=True)
-        elif inspection is not None and inspection is self._for:
-            self._model.revise(inspection.with_part(answer))
+        if inspection is not None and inspection is self._for:
+            self._model.revise(inspection.with_part(fit))
+
+    def _on_failure(self, error: InspectionError) -> None:
+        self._model.notice(str(error), is_error=True)

@@ -33,12 +33,22 @@ class History:
     """The actions that were done, and those that were undone."""
 
     changed = Signal()
-    settling = Signal()
+    committing = Signal()
     """Edits that have not become actions yet, as of a slider that still moves, must do so now."""
 
     def __init__(self) -> None:
         self._done: list[Action] = []
         self._undone: list[Action] = []
+
+    @property
+    def done(self) -> tuple[Action, ...]:
+        """The actions that can be taken back, the last one at the end."""
+        return tuple(self._done)
+
+    @property
+    def undone(self) -> tuple[Action, ...]:
+        """The actions that can be done again, the next one at the end."""
+        return tuple(self._undone)
 
     @property
     def undo_text(self) -> str | None:
@@ -58,13 +68,13 @@ class History:
         self._undone.clear()
         self.changed.emit()
 
-    def settle(self) -> None:
+    def commit(self) -> None:
         """Make actions of edits that are not finished."""
-        self.settling.emit()
+        self.committing.emit()
 
     def undo(self) -> None:
         """Take the last action back; nothing happens if there is none."""
-        self.settle()
+        self.commit()
         if self._done:
             self._done[-1].undo()
             self._undone.append(self._done.pop())
@@ -72,7 +82,7 @@ class History:
 
     def redo(self) -> None:
         """Do again what was taken back last; nothing happens if there is nothing."""
-        self.settle()
+        self.commit()
         if self._undone:
             self._undone[-1].do()
             self._done.append(self._undone.pop())

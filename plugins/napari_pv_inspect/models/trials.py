@@ -22,7 +22,7 @@ UNDONE_FIELDS = tuple(
     for name in Settings.model_fields
     if Settings.stage_of(name) > Stage.DETECT and not Settings.declared(name).set_by
 )
-"""Settings whose changes are edits that can be taken back, once they have settled.
+"""Settings whose changes are edits that can be taken back, once the controls rest.
 
 Those of reading and detection make another inspection; what a list of frames sets has edits of its
 own.
@@ -62,14 +62,14 @@ class Trial:
 class Tuning:
     """The trials; a change of the settings that is finished becomes an action of the history.
 
-    While a slider moves nothing is noted; `settle` is called once it rests.
+    While a slider moves nothing is noted; `commit` is called once it rests.
 
     Attributes
     ----------
     trials : tuple of Trial
         In the order in which they were tried first.
     current : Trial or None
-        The trial whose settings the controls showed last, settled.
+        The trial whose settings the controls showed last, once they rested.
     previous : Trial or None
         The one before it.
     """
@@ -78,9 +78,9 @@ class Tuning:
 
     def __init__(self, model: WorkbenchModel, history: History) -> None:
         self._model = model
-        self._history = history
-        self._settled = _part(model.settings, UNDONE_FIELDS)
-        self._rests_at: dict[str, Any] = _part(model.settings, LIVE_FIELDS)
+        self.history = history
+        self._committed = _part(model.settings, UNDONE_FIELDS)
+        self._values_at_rest: dict[str, Any] = _part(model.settings, LIVE_FIELDS)
         self._newest: CellPicture | None = None
         self._count = 0
         self.trials: tuple[Trial, ...] = ()
@@ -96,21 +96,21 @@ class Tuning:
             return current
         return self.previous
 
-    def settle(self) -> None:
+    def commit(self) -> None:
         """Note that the controls rest: what changed since the last time becomes one edit."""
         now = _part(self._model.settings, UNDONE_FIELDS)
-        if now != self._settled:
-            self._perform(self._settled, now)
-        self._rests_at = _part(self._model.settings, LIVE_FIELDS)
+        if now != self._committed:
+            self._perform(self._committed, now)
+        self._values_at_rest = _part(self._model.settings, LIVE_FIELDS)
         self._note()
 
     def apply(self, settings: Settings, fields: tuple[str, ...], text: str) -> None:
         """Take some fields over from other settings, as one edit."""
-        self.settle()
+        self.commit()
         old, new = _part(self._model.settings, fields), _part(settings, fields)
         if old != new:
             self._perform(old, new, text)
-            self.settle()
+            self.commit()
 
     def restore(self, trial: Trial) -> None:
         """Return to a trial, as one edit."""
@@ -120,7 +120,7 @@ class Tuning:
         """Give a trial a name, as one edit; an empty one brings the text back."""
         old = trial.name
         if name.strip() != old:
-            self._history.perform(
+            self.history.perform(
                 Action(
                     "Name a trial",
                     lambda: self._put_name(trial.number, name.strip()),
@@ -128,7 +128,7 @@ class Tuning:
                 )
             )
 
-    def take_in(self, trials: tuple[Trial, ...]) -> None:
+    def continue_from(self, trials: tuple[Trial, ...]) -> None:
         """Continue from the trials of an earlier session."""
         self.trials = trials[-DEPTH:]
         self._count = max((trial.number for trial in trials), default=0)
@@ -147,7 +147,7 @@ class Tuning:
         if picture is None or picture.settings is None:
             return
         settings = picture.settings
-        if _part(settings, LIVE_FIELDS) != self._rests_at:
+        if _part(settings, LIVE_FIELDS) != self._values_at_rest:
             return
         known = next((t for t in self.trials if _equal(t.settings, settings, LIVE_FIELDS)), None)
         if known is not None and known is self.current:
@@ -165,11 +165,11 @@ class Tuning:
         text = text or "Change " + ", ".join(
             Settings.declared(k).title for k in new if new[k] != old[k]
         )
-        self._history.perform(Action(text, lambda: self._set(new), lambda: self._set(old)))
+        self.history.perform(Action(text, lambda: self._set(new), lambda: self._set(old)))
 
     def _set(self, values: dict[str, Any]) -> None:
         # Before the model tells of it, so that this is no new edit.
-        self._settled = {k: values.get(k, v) for k, v in self._settled.items()}
+        self._committed = {k: values.get(k, v) for k, v in self._committed.items()}
         self._model.change_settings(**values)
 
     def _put_name(self, number: int, name: str) -> None:
@@ -184,8 +184,8 @@ class Tuning:
         self.changed.emit()
 
     def _on_sequence(self, _: FrameSequence | None) -> None:
-        self._settled = _part(self._model.settings, UNDONE_FIELDS)
-        self._rests_at = _part(self._model.settings, LIVE_FIELDS)
+        self._committed = _part(self._model.settings, UNDONE_FIELDS)
+        self._values_at_rest = _part(self._model.settings, LIVE_FIELDS)
         self.trials, self.current, self.previous, self._newest = (), None, None, None
         self.changed.emit()
 
@@ -193,7 +193,7 @@ class Tuning:
 def what_differs(before: Settings | None, after: Settings) -> str:
     """Return what differs between two settings, in a few words."""
     if before is None:
-        return "first look"
+        return "first setting"
     changes = [
         f"{Settings.declared(name).title} {_shown(name, getattr(after, name))}"
         for name in LIVE_FIELDS

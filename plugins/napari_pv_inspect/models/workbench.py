@@ -5,6 +5,8 @@ Views listen to the signals; only controllers change the state, and only in the 
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
@@ -21,6 +23,15 @@ from pv_inspect.settings import Settings, Stage
 
 __all__ = ["Failure", "RunState", "WorkbenchModel"]
 
+_SIGNALS = {
+    "run_changed": "run_state",
+    "cell_selected": "selected_cell",
+    "sequence_changed": "sequence",
+    "settings_changed": "settings",
+    "inspection_changed": "shown",
+    "result_opened": "result",
+}
+"""What each signal tells, in the order in which they are emitted."""
 
 FRAMES_GONE = "The frames of this result are not there: nothing can be computed from it."
 
@@ -73,6 +84,8 @@ class WorkbenchModel:
         The cell that gallery, live view and review show, from 0.
     """
 
+    changed = Signal()
+    """Once for all that changed together, after those of the following that say what."""
     sequence_changed = Signal(object)
     settings_changed = Signal(object)
     inspection_changed = Signal(object)
@@ -97,6 +110,28 @@ class WorkbenchModel:
         self.running_stage: Stage | None = None
         self.failure: Failure | None = None
         self.selected_cell: tuple[int, int] | None = None
+        self._depth = 0
+        self._touched: set[str] = set()
+
+    @contextmanager
+    def _one_change(self) -> Generator[None]:
+        """Emit each signal once for all that changes inside the context, at its end."""
+        self._depth += 1
+        try:
+            yield
+        finally:
+            self._depth -= 1
+            if self._depth == 0 and self._touched:
+                touched, self._touched = self._touched, set()
+                for name, value in _SIGNALS.items():
+                    if name in touched:
+                        getattr(self, name).emit(getattr(self, value))
+                self.changed.emit()
+
+    def _tell(self, *names: str) -> None:
+        """Note what is another now, by its signal; `changed` comes in any case."""
+        with self._one_change():
+            self._touched.update(names or ("changed",))
 
     @property
     def shown(self) -> Inspection | None:
@@ -149,29 +184,28 @@ class WorkbenchModel:
     def reopen(self, sequence: FrameSequence) -> None:
         """Take over the same frames, read in another way; the settings stay."""
         guess = self.guess
-        self._put(sequence, self.settings)
-        self.guess = guess
-        self.settings_changed.emit(self.settings)
+        with self._one_change():
+            self._put(sequence, self.settings)
+            self.guess = guess
 
     def restore(self, inspection: Inspection) -> None:
         """Open an inspection out of a result folder, with its frames and settings."""
         settings = _with_layout(inspection.settings, inspection.layout)
-        self._put(inspection.frames, settings)
-        self.inspection = replace(inspection, settings=settings)
-        self.inspection_changed.emit(self.inspection)
+        with self._one_change():
+            self._put(inspection.frames, settings)
+            self.inspection = replace(inspection, settings=settings)
 
     def _put(self, sequence: FrameSequence | None, settings: Settings) -> None:
-        self.sequence = sequence
-        self.guess = None
-        self.inspection = self.draft = self.result = None
-        self.frames_gone = ""
-        self.failure = self.run_until = self.running_stage = None
-        self._enter(RunState.IDLE)
-        self.settings = settings
-        self.select_cell(None)
-        self.sequence_changed.emit(sequence)
-        self.settings_changed.emit(settings)
-        self.inspection_changed.emit(None)
+        with self._one_change():
+            self.sequence = sequence
+            self.guess, self.guessing = None, False
+            self.inspection = self.draft = self.result = None
+            self.frames_gone = ""
+            self.failure = self.run_until = self.running_stage = None
+            self._enter(RunState.IDLE)
+            self.settings = settings
+            self.select_cell(None)
+            self._tell("sequence_changed", "settings_changed", "inspection_changed")
 
     def offer_layout(self, sequence: FrameSequence, guess: LayoutGuess | None) -> None:
         """Enter a guessed layout into the settings, unless the user has given one.
@@ -183,11 +217,14 @@ class WorkbenchModel:
         guess : LayoutGuess or None
             None: the layout can't be guessed from the frames.
         """
-        if sequence is self.sequence:
-            self.guessing = False
+        with self._one_change():
+            if sequence is self.sequence:
+                self.set_guessing(False)
+                self._take_layout(guess)
+
+    def _take_layout(self, guess: LayoutGuess | None) -> None:
         given = self.settings.rows is not None or self.settings.cols is not None
-        known = given and not self.layout_is_guessed
-        if sequence is not self.sequence or known or self.run_state is not RunState.IDLE:
+        if (given and not self.layout_is_guessed) or self.run_state is not RunState.IDLE:
             return
         if guess is None:
             self.notice("The frames do not tell how many cells the module has: give rows, columns.")
@@ -195,6 +232,12 @@ class WorkbenchModel:
         layout = guess.layout
         self.guess = guess
         self.change_settings(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
+
+    def set_guessing(self, guessing: bool) -> None:
+        """Say whether rows and columns are being guessed just now."""
+        if guessing != self.guessing:
+            self.guessing = guessing
+            self._tell()
 
     @property
     def layout_is_guessed(self) -> bool:
@@ -213,13 +256,13 @@ class WorkbenchModel:
         """Say that the guessed rows and columns are right."""
         if self.guess is not None:
             self.guess = None
-            self.settings_changed.emit(self.settings)
+            self._tell("settings_changed")
 
     def select_cell(self, cell: tuple[int, int] | None) -> None:
         """Show another cell in all views."""
         if cell != self.selected_cell:
             self.selected_cell = cell
-            self.cell_selected.emit(cell)
+            self._tell("cell_selected")
 
     def open_result(self, result: Inspection, why: str = FRAMES_GONE) -> None:
         """Show a result folder without its frames; its settings go into the controls.
@@ -231,9 +274,10 @@ class WorkbenchModel:
         why : str
             One sentence: why the frames can't be used.
         """
-        self._put(None, _with_layout(result.settings, result.layout))
-        self.result, self.frames_gone = result, why
-        self.result_opened.emit(result)
+        with self._one_change():
+            self._put(None, _with_layout(result.settings, result.layout))
+            self.result, self.frames_gone = result, why
+            self._tell("result_opened")
 
     def change_settings(self, **values: Any) -> None:
         """Change some settings; a value out of its range becomes a notice and changes nothing."""
@@ -244,13 +288,13 @@ class WorkbenchModel:
             return
         if settings != self.settings:
             self.settings = settings
-            self.settings_changed.emit(settings)
+            self._tell("settings_changed")
 
-    def revise(self, inspection: Inspection) -> None:
+    def revise(self, inspection: Inspection | None) -> None:
         """Show an inspection that the user has changed; the next run resumes from it."""
         if self.run_state is RunState.IDLE:
             self.inspection, self.draft = inspection, None
-            self.inspection_changed.emit(inspection)
+            self._tell("inspection_changed")
 
     def notice(self, text: str, is_error: bool = False) -> None:
         """Show the user one sentence."""
@@ -291,19 +335,20 @@ class WorkbenchModel:
         """Whether the settings were changed since the current run was started."""
         return self.run_state is not RunState.IDLE and self.settings != self.run_settings
 
-    def absorb(self, step: Step) -> None:
+    def take_step(self, step: Step) -> None:
         """Take over the part of the inspection that one step of a run has made."""
-        self.running_stage = step.stage
-        self.progress_changed.emit(step.fraction, step.message)
-        if step.partial is None or self.draft is None:
-            return
-        if isinstance(step.partial, np.ndarray):
-            self.preview_changed.emit(step.partial)
-            return
-        layout = self.draft.frames.layout(self.run_settings)
-        grown = self.draft.with_part(step.partial)
-        self.draft = replace(grown, settings=self.run_settings, layout=layout)
-        self.inspection_changed.emit(self.draft)
+        with self._one_change():
+            if step.stage is not self.running_stage:
+                self.running_stage = step.stage
+                self._tell()
+            self.progress_changed.emit(step.fraction, step.message)
+            if isinstance(step.partial, np.ndarray):
+                self.preview_changed.emit(step.partial)
+            elif step.partial is not None and self.draft is not None:
+                layout = self.draft.frames.layout(self.run_settings)
+                grown = self.draft.with_part(step.partial)
+                self.draft = replace(grown, settings=self.run_settings, layout=layout)
+                self._tell("inspection_changed")
 
     def stopping(self) -> None:
         """Say that the run was asked to stop."""
@@ -330,13 +375,15 @@ class WorkbenchModel:
             self.inspection, self.draft = result, None
         elif keep_draft or self.inspection is None or not self.inspection.complete:
             self.inspection = self.draft
-        self._enter(RunState.IDLE)
         self.preview_changed.emit(None)
-        self.inspection_changed.emit(self.inspection)
+        with self._one_change():
+            self._enter(RunState.IDLE)
+            self._tell("inspection_changed")
 
     def _enter(self, state: RunState) -> None:
-        self.run_state = state
-        self.run_changed.emit(state)
+        if state is not self.run_state:
+            self.run_state = state
+            self._tell("run_changed")
 
 
 def _with_layout(settings: Settings, layout: ModuleLayout) -> Settings:

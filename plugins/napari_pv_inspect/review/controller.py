@@ -50,7 +50,7 @@ class Reviewer(QObject):
         self._close_anyway = False
         self._collecting = QTimer(self)
         self._collecting.setInterval(COLLECT_MS)
-        self._collecting.timeout.connect(self.state.collect)
+        self._collecting.timeout.connect(self.state.storage.collect)
         self._remembering = QTimer(self)
         self._remembering.setSingleShot(True)
         self._remembering.setInterval(REMEMBER_MS)
@@ -64,37 +64,37 @@ class Reviewer(QObject):
         )
         for signal, slot in self._signals:
             signal.connect(slot)
-        self.state.failed.connect(self._on_failure)
-        self.state.folder_wanted.connect(self._on_folder_wanted)
-        self.state.remembered.connect(self._on_remembered)
+        self.state.storage.failed.connect(self._on_failure)
+        self.state.storage.folder_wanted.connect(self._on_folder_wanted)
+        self.state.storage.remembered.connect(self._on_remembered)
 
     def judge(self, kind: VerdictKind) -> None:
         """Give the selected cell a verdict, and go to the next one."""
         cell = self._model.selected_cell
-        if self.state.subject is None:
-            self._model.notice(self.state.why_empty)
+        if self.state.data.subject is None:
+            self._model.notice(self.state.data.why_empty)
             return
         if cell is None:
             self._model.notice("No cell is selected: click one in the gallery first.")
             return
-        self.state.give(cell, kind)
+        self.state.commands.give(cell, kind)
         if self.advances:
             self.to_next()
 
     def withdraw(self) -> None:
         """Take the verdict on the selected cell back."""
         if self._model.selected_cell is not None:
-            self.state.withdraw(self._model.selected_cell)
+            self.state.commands.withdraw(self._model.selected_cell)
 
     def to_next(self) -> None:
         """Go to the next cell without a verdict; stay if there is none."""
-        following = self.state.next_unjudged(self._model.selected_cell)
+        following = self.state.listing.next_unjudged(self._model.selected_cell)
         if following is not None:
             self._model.select_cell(following)
 
     def step(self, by: int) -> None:
         """Go ``by`` cells on in the order of the gallery."""
-        listed = self.state.listed
+        listed = self.state.listing.cells
         if not listed:
             return
         cell = self._model.selected_cell
@@ -103,7 +103,7 @@ class Reviewer(QObject):
 
     def move(self, rows: int) -> None:
         """Go to a cell further down in the same column of the module."""
-        cell, subject = self._model.selected_cell, self.state.subject
+        cell, subject = self._model.selected_cell, self.state.data.subject
         if cell is not None and subject is not None:
             other = cell[0] + rows, cell[1]
             if other in subject.places:
@@ -113,33 +113,33 @@ class Reviewer(QObject):
         """Judge as somebody else, also in the next session."""
         self.state.set_rater(rater)
         try:
-            write_user_state(UserState(rater=self.state.rater))
+            write_user_state(UserState(rater=self.state.data.rater))
         except InspectionError as error:
             self._model.notice(str(error), is_error=True)
 
     def saved(self, folder: Path) -> None:
         """Store verdicts in the folder that the inspection was saved to."""
-        self.state.attach(Path(folder).resolve())
+        self.state.storage.attach(Path(folder).resolve())
 
     def may_leave(self, window: QWidget | None) -> bool:
         """Whether another module may come; the user decides if something can't be stored yet."""
-        self.state.flush_wanted.emit()
-        if self.state.folder is not None or not self.state.pending:
+        self.state.storage.flush_wanted.emit()
+        if self.state.storage.folder is not None or not self.state.storage.pending:
             return True
         self._try_again(window)
-        self.state.given_up = self.state.pending if self._close_anyway else 0
+        self.state.storage.given_up = self.state.storage.pending if self._close_anyway else 0
         return self._close_anyway
 
     def may_close(self, window: QWidget | None) -> bool:
         """Wait until everything is stored; if that can't be, the user decides."""
         self._remembering.stop()
-        self.state.flush_wanted.emit()
-        patience_s = LITTLE_PATIENCE_S if self.state.is_failing else PATIENCE_S
-        while self.state.pending and not self.state.wait(patience_s):
+        self.state.storage.flush_wanted.emit()
+        patience_s = LITTLE_PATIENCE_S if self.state.storage.is_failing else PATIENCE_S
+        while self.state.storage.pending and not self.state.storage.wait(patience_s):
             if not self._try_again(window):
                 break
             patience_s = PATIENCE_S
-        return not self.state.pending or self._close_anyway
+        return not self.state.storage.pending or self._close_anyway
 
     def close(self) -> None:
         """Disconnect from the model."""
@@ -147,17 +147,17 @@ class Reviewer(QObject):
         self._remembering.stop()
         for signal, slot in self._signals:
             signal.disconnect(slot, missing_ok=True)
-        self.state.close()
+        self.state.storage.close()
 
     def _try_again(self, window: QWidget | None) -> bool:
         buttons = QMessageBox.StandardButton
-        unsaved = self.state.folder is None
+        unsaved = self.state.storage.folder is None
         where = "the result was not saved yet" if unsaved else "storing fails"
         retry = buttons.NoButton if unsaved else buttons.Retry
         answer = QMessageBox.question(
             window,
             "Review",
-            f"{self.state.pending} entries of the review are not stored, because {where}. "
+            f"{self.state.storage.pending} entries of the review are not stored, because {where}. "
             "Discard them?",
             buttons.Discard | retry | buttons.Cancel,
             buttons.Cancel,
@@ -168,7 +168,7 @@ class Reviewer(QObject):
     def _on_inspection(self, _: Inspection | None) -> None:
         shown = self._model.shown or self._model.result
         if self._model.why_hidden:
-            if self.state.reviewed is not None:
+            if self.state.data.reviewed is not None:
                 self.state.empty(self._model.why_hidden)
             return
         subject = None if shown is None else Subject.of_inspection(shown)
@@ -180,7 +180,7 @@ class Reviewer(QObject):
 
     def _empty(self, shown: Inspection) -> None:
         """Show no cells of an earlier grid."""
-        before = self.state.reviewed
+        before = self.state.data.reviewed
         if before is None:
             return
         if before.tiles.grid.layout != shown.layout:
@@ -191,9 +191,9 @@ class Reviewer(QObject):
 
     def _show(self, subject: Subject | None, folder: Path | None) -> None:
         state = self.state
-        if subject is None and state.reviewed is None:
+        if subject is None and state.data.reviewed is None:
             return
-        if subject is not None and subject.shows_the_same(state.subject):
+        if subject is not None and subject.shows_the_same(state.data.subject):
             return
         state.show(subject, folder)
         if subject is not None and self._model.selected_cell not in (None, *subject.places):
@@ -208,19 +208,19 @@ class Reviewer(QObject):
 
     def _on_settings(self, _: Settings) -> None:
         # Hidden cells come back with their rows and columns.
-        if self._model.why_hidden or self.state.subject is None:
+        if self._model.why_hidden or self.state.data.subject is None:
             self._on_inspection(self._model.shown)
 
     def _on_cell(self, cell: Cell | None) -> None:
-        if cell is not None and self.state.folder is not None:
+        if cell is not None and self.state.storage.folder is not None:
             self._remembering.start()
 
     def _remember(self) -> None:
         if self._model.selected_cell is not None:
-            self.state.remember(self._model.selected_cell)
+            self.state.storage.remember(self._model.selected_cell)
 
     def _on_remembered(self, cell: Cell) -> None:
-        subject = self.state.subject
+        subject = self.state.data.subject
         if self._model.selected_cell is None and subject is not None and cell in subject.places:
             self._model.select_cell(cell)
 

@@ -26,15 +26,15 @@ class RaterReview:
     corrected : dict of Cell to Corrected
     unstored : Counter of Cell
         How many things about a cell are not stored yet.
-    strokes : Counter of Cell
-        How often its marks were corrected: only the newest measures count.
+    revisions : Counter of Cell
+        How often its marks were corrected: only the latest measures count.
     """
 
     verdicts: dict[Cell, Verdict] = field(default_factory=dict)
     notes: dict[Cell, str] = field(default_factory=dict)
     corrected: dict[Cell, Corrected] = field(default_factory=dict)
     unstored: Counter[Cell] = field(default_factory=Counter)
-    strokes: Counter[Cell] = field(default_factory=Counter)
+    revisions: Counter[Cell] = field(default_factory=Counter)
 
     def take_verdicts(self, read: Mapping[Cell, Verdict]) -> None:
         """Take over what is stored; what is not stored yet is newer."""

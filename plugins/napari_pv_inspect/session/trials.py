@@ -46,14 +46,14 @@ class TrialStore(QObject):
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.setInterval(DELAY_MS)
-        self._timer.timeout.connect(self._write)
+        self._timer.timeout.connect(self.write)
         self._failed.connect(self._on_failure)
         model.sequence_changed.connect(self._on_sequence)
         tuning.changed.connect(self._on_trials)
 
     def attach(self, folder: Path) -> None:
         """Keep the trials beside a result that was just saved; those so far go with it."""
-        self._write()  # what is due belongs to the folder before as well
+        self.write()  # what is due belongs to the folder before as well
         if folder != self.folder:
             self._thread.submit(self._set_base, None)
         self.folder, self._kept, self._complained = folder, (), False
@@ -83,11 +83,15 @@ class TrialStore(QObject):
             # Another module may lie in the folder by now.
             if 0 <= trial.cell[0] < layout.rows and 0 <= trial.cell[1] < layout.cols
         )
-        self._tuning.take_in(self._kept)
+        self._tuning.continue_from(self._kept)
+
+    def wait(self) -> None:
+        """Wait until all that was begun is written."""
+        self._thread.submit(int).result()
 
     def close(self) -> None:
         """Write what is not written yet, and wait for it."""
-        self._write()
+        self.write()
         self.folder = None
         self._thread.shutdown()
 
@@ -101,10 +105,11 @@ class TrialStore(QObject):
             self._timer.start()
 
     def _on_sequence(self, _: object) -> None:
-        self._write()
+        self.write()
         self.folder, self._kept = None, ()
 
-    def _write(self) -> None:
+    def write(self) -> None:
+        """Begin to write what is not written yet."""
         self._timer.stop()
         due, self._due = self._due, ()
         if due and self.folder is not None:

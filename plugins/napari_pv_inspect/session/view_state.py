@@ -112,7 +112,7 @@ class SessionStore(QObject):
         )
 
     def close(self) -> None:
-        """Write what is not written yet, and let go of the viewer."""
+        """Write what is not written yet, and store nothing more."""
         self.write()
         self.folder = None
 

@@ -184,7 +184,7 @@ class RunController(QObject):
 
     def _on_step(self, step: Step) -> None:
         if self._worker is not None and self._stopping is None:
-            self.model.absorb(step)
+            self.model.take_step(step)
 
     def _on_return(self, outcome: Outcome) -> None:
         self._outcome = outcome

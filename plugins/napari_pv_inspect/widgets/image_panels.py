@@ -89,7 +89,7 @@ class Panel(QWidget):
         self.number = 0
         self.smooth = smooth
         self.sentence = ""
-        self._image: QImage | None = None
+        self.image: QImage | None = None
         self._outlines: list[QPolygonF] = []
         self._faint: list[QPolygonF] = []
         self._rgb = CRACK_RGB
@@ -107,7 +107,7 @@ class Panel(QWidget):
 
     def show_picture(self, picture: Pixels | None, sentence: str = "") -> None:
         """Show an image (h, w) or (h, w, 3), or a sentence if there is none."""
-        self._image = None if picture is None else _image(picture)
+        self.image = None if picture is None else _image(picture)
         self.sentence = sentence
         self.update()
 
@@ -135,19 +135,19 @@ class Panel(QWidget):
 
     def to_picture(self) -> QTransform:
         """Widget to picture coordinates."""
-        return self._transform().inverted()[0]
+        return self.transform().inverted()[0]
 
     def paintEvent(self, _: QPaintEvent) -> None:  # noqa: N802 (Qt's name)
         """Paint picture, outlines and title."""
         painter = QPainter(self)
         painter.fillRect(self.rect(), QColor("#101214"))
-        if self._image is not None:
-            painter.setClipRect(self._picture_area())
-            painter.setTransform(self._transform())
-            scale = self._transform().m11() * self.devicePixelRatioF()
+        if self.image is not None:
+            painter.setClipRect(self.picture_area())
+            painter.setTransform(self.transform())
+            scale = self.transform().m11() * self.devicePixelRatioF()
             smooth = scale < 1 or (self.smooth and scale < PIXELS_FROM)
             painter.setRenderHint(QPainter.RenderHint.SmoothPixmapTransform, smooth)
-            painter.drawImage(QPointF(0, 0), self._image)
+            painter.drawImage(QPointF(0, 0), self.image)
             self._paint_over(painter)
             painter.resetTransform()
             painter.setClipping(False)
@@ -159,20 +159,20 @@ class Panel(QWidget):
         title = elide(title, Qt.TextElideMode.ElideMiddle, round(line.width()))
         painter.drawText(line, flags, title)
         if self.sentence:
-            box = self._picture_area().adjusted(8, 0, -8, 0)
+            box = self.picture_area().adjusted(8, 0, -8, 0)
             flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
             painter.drawText(box, flags, self.sentence)
         painter.end()
 
     def wheelEvent(self, event: QWheelEvent) -> None:  # noqa: N802 (Qt's name)
         """Zoom; what is under the pointer stays there."""
-        if self._image is None:
+        if self.image is None:
             return
         view, place = self.view, event.position()
         before = self.to_picture().map(place)
         zoom = view.zoom * ZOOM_STEP ** (event.angleDelta().y() / 120)
         zoom = min(max(zoom, 1.0), MAX_ZOOM)
-        width, height = self._image.width(), self._image.height()
+        width, height = self.image.width(), self.image.height()
         kept = view.zoom / zoom
         x, y = view.x * width, view.y * height
         x, y = before.x() + (x - before.x()) * kept, before.y() + (y - before.y()) * kept
@@ -186,7 +186,7 @@ class Panel(QWidget):
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Move the pictures."""
-        if self._dragged_from is None or self._image is None:
+        if self._dragged_from is None or self.image is None:
             return
         if self._is_click:
             way = event.position() - self._pressed_at
@@ -196,7 +196,7 @@ class Panel(QWidget):
         to = self.to_picture()
         way = to.map(event.position()) - to.map(self._dragged_from)
         self._dragged_from = event.position()
-        width, height = self._image.width(), self._image.height()
+        width, height = self.image.width(), self.image.height()
         view = self.view
         view.set(view.x - way.x() / width, view.y - way.y() / height, view.zoom)
 
@@ -230,15 +230,16 @@ class Panel(QWidget):
                 painter.drawPolygon(outline)
         painter.setOpacity(1.0)
 
-    def _picture_area(self) -> QRectF:
+    def picture_area(self) -> QRectF:
+        """Where the picture is painted, in the coordinates of the widget."""
         return QRectF(0, TITLE, self.width(), self.height() - TITLE)
 
-    def _transform(self) -> QTransform:
+    def transform(self) -> QTransform:
         """Picture to widget coordinates."""
-        if self._image is None:
+        if self.image is None:
             return QTransform()
-        area, view = self._picture_area(), self.view
-        width, height = self._image.width(), self._image.height()
+        area, view = self.picture_area(), self.view
+        width, height = self.image.width(), self.image.height()
         scale = view.zoom * min(area.width() / width, area.height() / height)
         transform = QTransform.fromTranslate(area.center().x(), area.center().y())
         transform.scale(scale, scale)
@@ -267,7 +268,7 @@ class PaintPanel(Panel):
     def mousePressEvent(self, event: QMouseEvent) -> None:  # noqa: N802 (Qt's name)
         """Begin a stroke."""
         button = event.button()
-        if not self.editable or self._image is None or button == Qt.MouseButton.MiddleButton:
+        if not self.editable or self.image is None or button == Qt.MouseButton.MiddleButton:
             super().mousePressEvent(event)
             return
         if self._last is None:

@@ -37,7 +37,7 @@ class LambdaPlot(QWidget):
         self._curve: Curve = ()
         self._automatic: float | None = None
         self._present: float | None = None
-        self._why = ""
+        self.why = ""
 
     def show_curve(self, curve: Curve, automatic: float | None, why: str = "") -> None:
         """Show a curve, or why there is none.
@@ -51,9 +51,9 @@ class LambdaPlot(QWidget):
             One sentence if there is no curve.
         """
         self._curve, self._automatic = tuple(sorted(curve)), automatic
-        self._why = "" if len(curve) > 1 else why
+        self.why = "" if len(curve) > 1 else why
         self.setCursor(
-            Qt.CursorShape.ArrowCursor if self._why else Qt.CursorShape.PointingHandCursor
+            Qt.CursorShape.ArrowCursor if self.why else Qt.CursorShape.PointingHandCursor
         )
         self.update()
 
@@ -93,7 +93,7 @@ class LambdaPlot(QWidget):
         painter.setPen(ink)
         if len(self._curve) < 2:
             flags = int(Qt.AlignmentFlag.AlignCenter) | int(Qt.TextFlag.TextWordWrap)
-            painter.drawText(self.rect(), flags, self._why)
+            painter.drawText(self.rect(), flags, self.why)
             return
         area = self._area()
         self._paint_axis(painter, area)

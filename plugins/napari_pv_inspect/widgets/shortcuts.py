@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -52,6 +52,11 @@ class Shortcuts:
         self.add(Key(HELP_KEY, "Show this list", "Everywhere"), self.show_help)
 
     @property
+    def bound(self) -> Mapping[Key, QShortcut]:
+        """What each key is bound to."""
+        return self._bound
+
+    @property
     def keys(self) -> tuple[Key, ...]:
         """All keys, in the order in which they were added."""
         return tuple(self._bound)
@@ -70,7 +75,7 @@ class Shortcuts:
         shortcut.destroyed.connect(partial(_forget, self._bound, key))
 
     def close(self) -> None:
-        """Let go of the window."""
+        """Disconnect from the window."""
         if self._help is not None:
             self._help.close()
         for shortcut in tuple(self._bound.values()):

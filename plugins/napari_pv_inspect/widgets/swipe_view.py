@@ -58,14 +58,14 @@ class SwipeView(QWidget):
             "space bar to see only what it is compared with."
         )
         self.setAccessibleName("Two pictures of the cell with a divider")
-        self._pictures: list[tuple[QImage | None, str]] = [(None, ""), (None, "")]
+        self.pictures: list[tuple[QImage | None, str]] = [(None, ""), (None, "")]
         self._scaled: dict[int, tuple[QSize, QImage]] = {}
         self._held = self._blink = False
-        self._message = ""
+        self.message = ""
         self.divider = 0.5
         self._flicker = QTimer(self)
         self._flicker.setInterval(FLICKER_MS)
-        self._flicker.timeout.connect(self._on_flicker)
+        self._flicker.timeout.connect(self.alternate)
 
     def show_before(self, image: QImage | None, text: str) -> None:
         """Set what is compared with; None for nothing."""
@@ -77,11 +77,11 @@ class SwipeView(QWidget):
 
     def show_message(self, text: str) -> None:
         """Say a sentence in place of a picture."""
-        self._message = text
+        self.message = text
         self.update()
 
     def set_flicker(self, on: bool) -> None:
-        """Show the two pictures in turns."""
+        """Show the two pictures alternately."""
         self._blink = False
         if on:
             self._flicker.start()
@@ -92,7 +92,7 @@ class SwipeView(QWidget):
     @property
     def only_before(self) -> bool:
         """Whether *before* is seen alone just now."""
-        return (self._held or self._blink) and self._pictures[0][0] is not None
+        return (self._held or self._blink) and self.pictures[0][0] is not None
 
     def sizeHint(self) -> QSize:  # noqa: N802 (Qt's name)
         """As large as is usual for one cell."""
@@ -100,7 +100,7 @@ class SwipeView(QWidget):
 
     def target(self) -> QRectF:
         """Where the pictures are painted, in the coordinates of the widget."""
-        image = self._pictures[1][0] or self._pictures[0][0]
+        image = self.pictures[1][0] or self.pictures[0][0]
         if image is None:
             return QRectF(self.rect())
         scale = min(self.width() / image.width(), self.height() / image.height())
@@ -112,7 +112,7 @@ class SwipeView(QWidget):
         painter = QPainter(self)
         painter.fillRect(self.rect(), BACKGROUND)
         place = self.target()
-        (before, before_text), (after, after_text) = self._pictures
+        (before, before_text), (after, after_text) = self.pictures
         if after is not None and not self.only_before:
             painter.drawImage(place.topLeft(), self._fitted(1, after, place))
         split = place.left() + self.divider * place.width()
@@ -135,8 +135,8 @@ class SwipeView(QWidget):
             self._label(painter, before_text, Qt.AlignmentFlag.AlignLeft)
         if after is not None and not self.only_before:
             self._label(painter, after_text, Qt.AlignmentFlag.AlignRight)
-        if self._message:
-            self._label(painter, self._message, Qt.AlignmentFlag.AlignCenter)
+        if self.message:
+            self._label(painter, self.message, Qt.AlignmentFlag.AlignCenter)
         painter.end()
         self.painted.emit()
 
@@ -188,12 +188,13 @@ class SwipeView(QWidget):
         self._held = held
         self.update()
 
-    def _on_flicker(self) -> None:
+    def alternate(self) -> None:
+        """Show the other picture alone, or both again."""
         self._blink = not self._blink
         self.update()
 
     def _put(self, which: int, image: QImage | None, text: str) -> None:
-        self._pictures[which] = (image, text)
+        self.pictures[which] = (image, text)
         self._scaled.pop(which, None)
         self.update()
 

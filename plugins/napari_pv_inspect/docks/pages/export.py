@@ -67,14 +67,14 @@ class ExportBox(QGroupBox):
         layout.addLayout(buttons)
         self.export.clicked.connect(self._on_export)
         self.open.clicked.connect(self._on_open)
-        listen(review.module_data_changed, self._show)
-        listen(review.subject_changed, self._on_subject)
-        listen(review.flush_wanted, self._flush)
+        listen(review.storage.module_data_changed, self._show)
+        listen(review.data.subject_changed, self._on_subject)
+        listen(review.storage.flush_wanted, self._flush)
         self._on_subject()
 
     def _on_subject(self, _: object = None) -> None:
-        self.setEnabled(self._review.subject is not None)
-        self._show(self._review.module_data)
+        self.setEnabled(self._review.data.subject is not None)
+        self._show(self._review.storage.module_data)
 
     def _show(self, data: ModuleData) -> None:
         for name, field in self.fields.items():
@@ -88,7 +88,7 @@ class ExportBox(QGroupBox):
             self._on_edited()
 
     def _on_edited(self) -> None:
-        if self._review.subject is None:
+        if self._review.data.subject is None:
             return
         try:
             data = ModuleData(
@@ -97,9 +97,9 @@ class ExportBox(QGroupBox):
             )
         except InspectionError as error:
             self._model.notice(str(error), is_error=True)
-            self._show(self._review.module_data)
+            self._show(self._review.storage.module_data)
             return
-        self._review.describe(data)
+        self._review.storage.describe(data)
 
     def _number(self, name: str) -> float | None:
         text = self.fields[name].text().strip().replace(",", ".")
@@ -113,10 +113,10 @@ class ExportBox(QGroupBox):
             ) from None
 
     def _on_export(self) -> None:
-        self._review.after_storing(self._write)
+        self._review.storage.after_storing(self._write)
 
     def _write(self) -> None:
-        folder = self._review.folder
+        folder = self._review.storage.folder
         if folder is None:
             return
         worker = create_worker(_export, folder)
@@ -127,7 +127,7 @@ class ExportBox(QGroupBox):
         self._model.notice(answer[0], answer[1])
 
     def _on_open(self) -> None:
-        folder = self._review.folder
+        folder = self._review.storage.folder
         page = None if folder is None else folder / REVIEW_PAGE
         if page is None or not page.is_file():
             self._model.notice("There is no report yet: write it first.")

@@ -193,12 +193,11 @@ class FramesBox(QWidget):
         header.sectionResized.connect(self._wrap_soon)
         self.sorted.layoutChanged.connect(self._wrap_soon)
         model = workbench.model
-        for signal in (model.sequence_changed, model.settings_changed, model.inspection_changed):
-            listen(signal, self._refill)
+        listen(model.changed, self._refill)
         listen(workbench.frames.frame_shown, self._on_frame)
         self._refill()
 
-    def _refill(self, _: object = None) -> None:
+    def _refill(self) -> None:
         model = self._workbench.model
         rows = frame_rows(model.sequence, model.shown, model.settings)
         self.table.show_rows(rows)

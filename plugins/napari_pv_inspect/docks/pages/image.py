@@ -60,7 +60,7 @@ class ImageBox(QGroupBox):
     def _on_chosen(self, weight: float) -> None:
         low, high = Settings.slider_of("prior_weight")
         self._model.change_settings(prior_weight=min(max(weight, low), high))
-        self._live.settle()
+        self._live.commit()
 
     def _on_settings(self, settings: Settings) -> None:
         self.plot.show_present(lambda_in_use(self._model.inspection, settings))

@@ -68,8 +68,7 @@ class PointsBox(QGroupBox):
                 workbench.shortcuts.add(Key(key, text, GROUP), button.click)
         listen(workbench.points.mode_changed, self._on_mode)
         listen(workbench.editor.changed, self._on_state)
-        listen(workbench.model.run_changed, self._on_state)
-        listen(workbench.model.inspection_changed, self._on_state)
+        listen(workbench.model.changed, self._on_state)
         listen(workbench.live.residual_changed, self._on_state)
         self._on_state()
 

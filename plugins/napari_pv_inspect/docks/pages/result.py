@@ -56,16 +56,10 @@ class ResultBox(QWidget):
         layout.addWidget(self.warnings)
         layout.addLayout(row)
         self.save.clicked.connect(self.save_wanted)
-        for signal in (
-            model.inspection_changed,
-            model.result_opened,
-            model.run_changed,
-            model.settings_changed,
-        ):
-            listen(signal, self._on_change)
+        listen(model.changed, self._on_change)
         self._on_change()
 
-    def _on_change(self, _: object = None) -> None:
+    def _on_change(self) -> None:
         model = self._model
         facts = facts_of(model)
         self.doubts.show_sentences(tuple(f"In doubt: {doubt}" for doubt in facts.doubts))

@@ -21,6 +21,7 @@ from qtpy.QtWidgets import (
 from napari_pv_inspect.models.history import History
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.review.controller import Reviewer
+from napari_pv_inspect.review.data import ReviewChange
 from napari_pv_inspect.widgets.listen import listen
 from pv_inspect.review import Cell, VerdictKind
 
@@ -45,7 +46,7 @@ class ReviewBox(QGroupBox):
     ) -> None:
         super().__init__("Verdict", parent)
         self._model, self._reviewer, self._history = model, reviewer, history
-        self.rater = QLineEdit(reviewer.state.rater)
+        self.rater = QLineEdit(reviewer.state.data.rater)
         self.rater.setToolTip("Name of the person who judges; it is stored with every verdict.")
         self.cell = QLabel()
         self.buttons = {kind: _button(kind) for kind in VerdictKind}
@@ -76,9 +77,9 @@ class ReviewBox(QGroupBox):
         self.withdraw.clicked.connect(reviewer.withdraw)
         self._noted: Cell | None = None
         listen(model.cell_selected, self._on_cell)
-        listen(reviewer.state.subject_changed, self._on_cell)
-        listen(reviewer.state.verdicts_changed, self._on_verdicts)
-        listen(reviewer.state.flush_wanted, self._flush)
+        listen(reviewer.state.data.subject_changed, self._on_cell)
+        listen(reviewer.state.data.changed, self._on_review)
+        listen(reviewer.state.storage.flush_wanted, self._flush)
         listen(history.changed, self._on_history)
         self._on_cell()
         self._on_history()
@@ -111,13 +112,13 @@ class ReviewBox(QGroupBox):
 
     def _on_rater(self) -> None:
         self._reviewer.set_rater(self.rater.text())
-        self.rater.setText(self._reviewer.state.rater)
+        self.rater.setText(self._reviewer.state.data.rater)
         self._on_cell()
 
     def _on_note(self) -> None:
         # What is in the line is about the cell that was selected when it was shown.
         if self._noted is not None:
-            self._reviewer.state.write_note(self._noted, self.note.text())
+            self._reviewer.state.commands.write_note(self._noted, self.note.text())
             self.note.setModified(False)
 
     def _flush(self) -> None:
@@ -128,18 +129,19 @@ class ReviewBox(QGroupBox):
         self._reviewer.advances = advances
 
     def _on_undo(self) -> None:
-        self._history.settle()
+        self._history.commit()
         if self._history.undo_text is None:
-            self._reviewer.state.undo_stored()
+            self._reviewer.state.commands.undo_stored()
         else:
             self._history.undo()
 
     def _on_cell(self, _: object = None) -> None:
         self._flush()
         state, cell = self._reviewer.state, self._model.selected_cell
-        known = cell is not None and state.subject is not None and cell in state.subject.places
+        subject = state.data.subject
+        known = cell is not None and subject is not None and cell in subject.places
         self._noted = cell if known else None
-        self.note.setText("" if self._noted is None else state.note(self._noted))
+        self.note.setText("" if self._noted is None else state.cells.note(self._noted))
         self.cell.setText(
             "No cell is selected."
             if self._noted is None
@@ -149,28 +151,32 @@ class ReviewBox(QGroupBox):
             widget.setEnabled(known)
         self._on_verdicts()
 
+    def _on_review(self, change: ReviewChange) -> None:
+        if change.verdicts:
+            self._on_verdicts()
+
     def _on_verdicts(self) -> None:
         state = self._reviewer.state
-        verdict = None if self._noted is None else state.verdict(self._noted)
+        verdict = None if self._noted is None else state.cells.verdict(self._noted)
         for kind, button in self.buttons.items():
             with QSignalBlocker(button):
                 button.setChecked(verdict is not None and verdict.kind is kind)
         if not self.note.isModified() and self._noted is not None:
-            self.note.setText(state.note(self._noted))
-        done = state.progress
+            self.note.setText(state.cells.note(self._noted))
+        done = state.cells.progress
         self.bar.setRange(0, 1 if done is None else done.total)
         self.bar.setValue(0 if done is None else done.judged)
         text = "Nothing to judge yet." if done is None else done.text
-        if state.pending:
-            text += f"; {state.pending} not stored yet"
-            if state.folder is None:
+        if state.storage.pending:
+            text += f"; {state.storage.pending} not stored yet"
+            if state.storage.folder is None:
                 text += ": save the result"
-            elif state.is_failing:
+            elif state.storage.is_failing:
                 text += ", tried again every 2 s"
         if text != self.progress.text():
             self.progress.setText(text)
         if done is None:
-            self.progress.setToolTip(state.why_empty)
+            self.progress.setToolTip(state.data.why_empty)
         else:
             counts = (f"{kind.label}: {n}" for kind, n in done.counts.items() if n)
             self.progress.setToolTip("\n".join(counts) or "Cells that you have judged.")

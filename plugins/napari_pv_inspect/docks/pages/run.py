@@ -25,7 +25,7 @@ RUN_TIP = (
 )
 IN_DOUBT = "In doubt: do not rely on this result; the reason stands below."
 BEFORE = (StepAction.CONFIRM, StepAction.DETECT)
-"""Steps beside which a run of everything is offered."""
+"""Steps at which a run of all stages is offered as well."""
 
 
 class RunBox(QWidget):
@@ -63,16 +63,12 @@ class RunBox(QWidget):
         layout.addWidget(self.message)
         self.run.clicked.connect(self.run_wanted)
         self.cancel.clicked.connect(self.cancel_wanted)
-        listen(model.settings_changed, self._on_state)
-        listen(model.sequence_changed, self._on_state)
-        listen(model.run_changed, self._on_state)
-        listen(model.inspection_changed, self._on_state)
-        listen(model.result_opened, self._on_state)
+        listen(model.changed, self._on_state)
         listen(model.progress_changed, self._on_progress)
         listen(model.noticed, self._on_notice)
         self._on_state()
 
-    def _on_state(self, _: object = None) -> None:
+    def _on_state(self) -> None:
         model = self._model
         self._colour("")
         idle = model.run_state is RunState.IDLE

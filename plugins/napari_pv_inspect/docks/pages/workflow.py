@@ -167,19 +167,10 @@ class StepsBox(QWidget):
         layout.addLayout(buttons)
         self.next.clicked.connect(self._on_next)
         self.line.step_clicked.connect(self.step_clicked)
-        for signal in (
-            model.sequence_changed,
-            model.settings_changed,
-            model.inspection_changed,
-            model.run_changed,
-            model.result_opened,
-            model.progress_changed,
-            model.noticed,
-        ):
-            listen(signal, self._on_change)
+        listen(model.changed, self._on_change)
         self._on_change()
 
-    def _on_change(self, *_: object) -> None:
+    def _on_change(self) -> None:
         self.line.show_steps(steps_of(self._model))
         step = next_step(self._model)
         self.next.setText(step.text)
