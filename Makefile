@@ -1,4 +1,4 @@
-# `make demo` and `make test` need git, make and Python 3.11 to 3.13, nothing else.
+# `make demo` and `make test` need git, make and Python 3.11 or newer, nothing else.
 
 PYTHON := .venv/bin/python
 INSTALLED := .venv/.installed

@@ -12,7 +12,8 @@ set -eu
 cd "$(dirname "$0")/.."
 
 VENV=.venv
-SUPPORTED='(3, 11) <= sys.version_info[:2] <= (3, 13)'
+# No upper bound: what is newer is tried, and pip says which package has no wheel for it.
+SUPPORTED='sys.version_info[:2] >= (3, 11)'
 
 fail() {
     echo "pv-inspect: $*" >&2
@@ -40,7 +41,7 @@ install() {
 
 # Prints a Python of a supported version, preferably one that can make an environment.
 find_python() {
-    for name in python3.13 python3.12 python3.11 python3; do
+    for name in python3.13 python3.12 python3.11 python3.14 python3; do
         # A name on the PATH may be a shim for a version that is not there: ask it.
         "$name" -c "import sys; sys.exit(not $SUPPORTED)" >/dev/null 2>&1 || continue
         python=$name
@@ -51,7 +52,7 @@ find_python() {
 
 make_venv() {
     python=$(find_python)
-    [ -n "$python" ] || fail "no Python 3.11, 3.12 or 3.13 was found on the PATH: install one of them."
+    [ -n "$python" ] || fail "no Python 3.11 or newer was found on the PATH: install one, such as 3.13."
     if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
         package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
         install "$package" || fail "$python can't make virtual environments, run: sudo apt-get install $package"

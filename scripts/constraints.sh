@@ -14,8 +14,10 @@ trap 'rm -rf "$folder"' EXIT
 "$folder/venv/bin/python" -m pip install --quiet --no-build-isolation --editable ".[gui,notebook,formats,dev,docs]"
 {
     echo "# Exact versions of everything that 'make demo', 'make test' and 'make docs' install: the extras"
-    echo "# gui, notebook, formats, dev, docs, and the build tools. For Python 3.11 to 3.13. Written by"
+    echo "# gui, notebook, formats, dev, docs, and the build tools. For Python 3.11 to 3.14. Written by"
     echo "# scripts/constraints.sh; do not edit by hand."
     "$folder/venv/bin/python" -m pip freeze --exclude-editable --exclude pip --exclude setuptools
 } >"$folder/constraints.txt"
 cp "$folder/constraints.txt" constraints.txt
+# Has the newest Python the same packages? It need not be on this machine.
+PYTHON="$folder/venv/bin/python" scripts/wheels.sh 3.14
