@@ -19,8 +19,9 @@ from pathlib import Path
 
 project = tomllib.loads(Path("pyproject.toml").read_text("utf-8"))
 wanted = [*project["build-system"]["requires"], "editables", *project["project"]["dependencies"]]
-for extra in ("gui", "notebook", "formats", "dev", "docs"):
-    wanted += project["project"]["optional-dependencies"][extra]
+for extra, packages in project["project"]["optional-dependencies"].items():
+    if extra != "train":  # not pinned
+        wanted += [name for name in packages if not name.startswith("pv-inspect[")]
 print("\n".join(wanted))
 END
 platforms=$("$python" -c '
@@ -33,7 +34,8 @@ if ! "$python" -m pip --disable-pip-version-check download --quiet --no-cache-di
     --abi "cp$(echo "$version" | tr -d .)" --abi abi3 --abi none $platforms \
     --dest "$folder/wheels" --constraint constraints.txt --requirement "$folder/wanted.txt" \
     2>"$folder/said.txt"; then
-    why=$(grep -m 1 '^ERROR: ' "$folder/said.txt" || tail -n 1 "$folder/said.txt")
+    # pip first lists every version that it passed over.
+    why=$(grep '^ERROR: ' "$folder/said.txt" | grep -v '^ERROR: Ignored' | head -n 1)
     echo "pv-inspect: the pinned set can't be had as wheels for Python $version: ${why#ERROR: }" >&2
     exit 1
 fi
