@@ -1,8 +1,8 @@
 """Rows, columns and cell aspect of a module, guessed from the frames when nobody gives them.
 
-Through the pose of the outline the module is a rectangle in which gaps between cells are dark
-lines at k / n of its width and height. Busbars are dark lines too, in one direction; they are less
-dark, not evenly spaced together with the gaps, or make cells of an unlikely aspect.
+Through the pose of the outline the module is a rectangle in which the gaps between cells are evenly
+spaced dark lines (see `pv_inspect.detection.line_scores`). What those leave open, the aspect of the
+cells and the edges of gaps in single frames decide.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
+from pv_inspect.detection.line_scores import FINER, LineScores, line_scores, rectified_module
 from pv_inspect.detection.outline import OutlineError, find_outlines, fit_pose
 from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.errors import InspectionError
@@ -35,33 +36,31 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+# No search for these constants is on record: they were chosen by hand. What they give is shown by
+# tests/detection/test_layout_guess.py on simulated modules, and on photographs by
+# `python benchmarks/field.py FOLDER --guess`.
+
 MAX_FRAMES = 6
+"""Frames that are looked at, spread over the sequence."""
 MAX_CANDIDATES = 8
 USUAL_ASPECTS = (1.0, 2.0, 0.5)
+"""Width over height of whole cells and of cells cut in half, either way."""
 SNAP = 0.12
 """A cell aspect this near to a usual one is taken for it; the perspective leaves it uncertain."""
 ASPECT_SIGMA = 0.06
+"""Spread of the logarithm of a seen aspect around a usual one."""
 UNUSUAL_WEIGHT = 0.15
-MIN_CELL_PX = 8.0
-MAX_CELLS = 60
-RECTIFIED_PX = (300, 2400)
-SAMPLES_PER_PX = 1.5
-SAMPLES_ALONG = 240
-BANDS = 6
-BETWEEN = np.arange(0.15, 0.851, 0.05)
-FINER = (2, 3, 4, 5)
-BUSBAR_WEIGHT = 0.25
+"""Least weight of a layout whose cells are of another aspect."""
 MIN_SCORE = 0.02
-VALLEYS_PX = (2.5, 5.0)
-"""Distances at which a dark line is compared with what is beside it, LR pixels."""
-SHALLOW_BANDS = 2
-"""Bands in which a gap need not show: a few cells are dead. A crack ends sooner."""
-MIN_DEPTH = 0.05
+"""A layout with less is no candidate."""
 MIN_CONFIDENCE = 0.4
+"""With less a guess is refused."""
 MAX_DISTANCE = 0.01
 """Median distance of the contour from a rectangle, in lengths of a side."""
 CLEAR = 0.25
+"""Score from which on a grid counts as clear: no other outline is tried, confidence is full."""
 CHECKED_FRAMES = 3
+"""Frames in which the gaps of a layout have to be in place."""
 UNIT = ModuleLayout(1, 1)
 
 
@@ -85,25 +84,13 @@ class LayoutGuess:
 
 
 @dataclass(frozen=True)
-class _Lines:
-    """How well each number of cells n fits along one direction.
-
-    `base` (n,) is the score, 0 to 1; `finer` (n, m) the depth of the lines that would divide each
-    cell into `FINER` [m] ones.
-    """
-
-    base: Array
-    finer: Array
-
-
-@dataclass(frozen=True)
 class View:
     """One frame: the module as the unit square, and how well each number of cells fits."""
 
     image: NDArray[np.float32]
     pose: Pose
-    across: _Lines
-    down: _Lines
+    across: LineScores
+    down: LineScores
     ratio: float
 
     def turned(self) -> View:
@@ -241,101 +228,14 @@ def scored_view(image: NDArray[np.float32], pose: Pose) -> View:
     return View(
         image,
         pose,
-        _line_scores(_rectified(image, pose, across_px, True), across_px),
-        _line_scores(_rectified(image, pose, down_px, False), down_px),
+        line_scores(rectified_module(image, pose, across_px, True), across_px),
+        line_scores(rectified_module(image, pose, down_px, False), down_px),
         pose.aspect,
     )
 
 
 def _strength(view: View) -> float:
     return float(view.across.base.max() * view.down.base.max())
-
-
-def _rectified(
-    image: NDArray[np.float32], pose: Pose, side_px: float, upright: bool
-) -> NDArray[np.float32]:
-    """See the module as a rectangle whose columns run along the lines that are sought."""
-    fine = int(np.clip(SAMPLES_PER_PX * side_px, *RECTIFIED_PX))
-    across, along = np.meshgrid(
-        (np.arange(fine) + 0.5) / fine, (np.arange(SAMPLES_ALONG) + 0.5) / SAMPLES_ALONG
-    )
-    points = np.stack([across, along] if upright else [along, across], axis=-1).reshape(-1, 2)
-    lookup = np.nan_to_num(pose.project(points), nan=-1e4).astype(np.float32)
-    lookup = lookup.reshape(*across.shape, 2)
-    rectified = cv2.remap(
-        image, lookup[..., 0], lookup[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return np.asarray(rectified, np.float32)
-
-
-def _line_profiles(rectified: NDArray[np.float32], lr_px: float) -> NDArray[np.float32]:
-    """How dark the line at each column is against its surroundings, 0 to 1, in bands along it.
-
-    The lines are a little bent yet, because the pose is that of the outline alone: within a band
-    that does not matter. `lr_px` is the number of columns per LR pixel.
-    """
-    smooth = cv2.blur(rectified, (max(1, round(lr_px)) | 1, 3))
-    depth = np.zeros(rectified.shape, np.float32)
-    for distance in VALLEYS_PX:
-        step = max(1, round(distance * lr_px))
-        padded = cv2.copyMakeBorder(smooth, 0, 0, step, step, cv2.BORDER_REPLICATE)
-        beside = np.minimum(padded[:, : -2 * step], padded[:, 2 * step :])
-        depth = np.maximum(depth, 1 - smooth / np.maximum(beside, 1e-4))
-    tolerance = 2 * max(1, round(0.5 * lr_px)) + 1
-    depth = np.asarray(cv2.dilate(depth, np.ones((1, tolerance), np.uint8)), np.float32)
-    bands = [np.median(band, axis=0) for band in np.array_split(depth, BANDS)]
-    return np.asarray(bands, np.float32)
-
-
-def _line_scores(rectified: NDArray[np.float32], side_px: float) -> _Lines:
-    """Score every number of cells n from 0 to `MAX_CELLS` along x.
-
-    Relative to the deepest lines there are, the score is the depth of the shallower lines at k / n,
-    less what differs between one cell and the next, less a little for other lines in the cells.
-    """
-    width = rectified.shape[1]
-    profiles = _line_profiles(rectified, width / side_px)
-    base = np.zeros(MAX_CELLS + 1)
-    depths = np.zeros(MAX_CELLS + 1)
-    finer = np.zeros((MAX_CELLS + 1, len(FINER)))
-    for n in range(2, int(min(MAX_CELLS, side_px / MIN_CELL_PX)) + 1):
-        lines = _along(profiles, 0.1 * width / n)[_columns(np.arange(1, n) / n, width)]
-        depths[n] = np.quantile(lines, 0.15)
-        within = _along(profiles, 0.03 * width / n)
-
-        def typical(phase: Array, n: int = n, within: Array = within) -> tuple[Array, Array]:
-            cells = np.arange(n)
-            one = within[_columns((cells + phase[:, None]) / n, width)]
-            other = within[_columns((cells + 1 - phase[:, None]) / n, width)]
-            either = np.quantile(np.maximum(one, other), 0.4, axis=1)
-            return np.quantile(one, 0.4, axis=1), either
-
-        one, either = typical(BETWEEN)
-        # Busbars lie symmetrically in a cell: half cells see them now on this side, now on that.
-        mirrored = np.maximum(one, one[::-1])
-        base[n] = depths[n] - (either - mirrored).max() - BUSBAR_WEIGHT * mirrored.max()
-        for k, factor in enumerate(FINER):
-            finer[n, k] = typical(np.arange(1, factor) / factor)[0].min()
-    for k, factor in enumerate(FINER):
-        # Lines that make no even grid of their own are busbars, however dark.
-        even = np.zeros_like(base)
-        even[: MAX_CELLS // factor + 1] = base[::factor][: MAX_CELLS // factor + 1]
-        finer[:, k] = np.clip(np.minimum(finer[:, k], even), 0, None)
-    deepest = float(depths.max())
-    if deepest < MIN_DEPTH:
-        return _Lines(np.zeros_like(base), np.zeros_like(finer))
-    return _Lines(np.clip(base / deepest, 0, 1), finer / deepest)
-
-
-def _along(profiles: NDArray[np.float32], reach: float) -> Array:
-    """Depth of the line within `reach` of each column, which must hold along most of its length."""
-    kernel = np.ones((1, 2 * round(reach) + 1), np.uint8)
-    near = np.asarray(cv2.dilate(profiles, kernel), np.float64)
-    return np.asarray(np.partition(near, SHALLOW_BANDS, axis=0)[SHALLOW_BANDS])
-
-
-def _columns(place: Array, width: int) -> NDArray[np.int64]:
-    return np.minimum((place * width).astype(np.int64), width - 1)
 
 
 def ranked_layouts(views: list[View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
