@@ -10,7 +10,6 @@ from napari_pv_inspect.models.cell_picture import Cell, CellPicture
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.preview import Preview, Region
 from pv_inspect.reconstruction.single_frame import best_frame, bicubic
 from pv_inspect.registration.registration import Registration
@@ -21,7 +20,6 @@ __all__ = [
     "basis_of",
     "bicubic_cell",
     "default_cell",
-    "lambda_in_use",
     "registration_for",
     "run_cell",
     "same_basis",
@@ -161,14 +159,6 @@ def bicubic_cell(inspection: Inspection, cell: Cell, magnification: float) -> Ce
     grid = whole.window(*whole.cell_slices(*cell))
     image = bicubic(inspection.frames, registration, grid, frame)
     return CellPicture(image, cell, inspection.frames.names[frame])
-
-
-def lambda_in_use(inspection: Inspection | None, settings: Settings) -> float | None:
-    """Return the user's lambda, or the one that stands for the automatic one until the next run."""
-    if settings.prior_weight is not None or inspection is None:
-        return settings.prior_weight
-    known = inspection.registration, inspection.reconstruction
-    return values_in_use(settings, *known).prior_weight
 
 
 def basis_of(inspection: Inspection | None) -> tuple[object, ...]:

@@ -8,7 +8,6 @@ from qtpy.QtWidgets import QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLay
 from napari_pv_inspect.docks.preset_menu import PresetMenu
 from napari_pv_inspect.forms.form import SettingsForm
 from napari_pv_inspect.live.cell import LiveCell
-from napari_pv_inspect.live.cell_renderer import lambda_in_use
 from napari_pv_inspect.models.workbench import WorkbenchModel
 from napari_pv_inspect.widgets.lambda_plot import LambdaPlot
 from napari_pv_inspect.widgets.listen import listen
@@ -63,7 +62,7 @@ class ImageBox(QGroupBox):
         self._live.commit()
 
     def _on_settings(self, settings: Settings) -> None:
-        self.plot.show_present(lambda_in_use(self._model.inspection, settings))
+        self.plot.show_present(values_in_use(settings, made=self._made).prior_weight)
         self._show_curve(settings)
 
     def _on_inspection(self, _: object = None) -> None:
