@@ -26,7 +26,7 @@ def file() -> Path:
 
 def test_who_judges_is_remembered(qapp: object) -> None:
     Reviewer(WorkbenchModel(), History()).set_rater("Grace")
-    assert Reviewer(WorkbenchModel(), History()).state.rater == "Grace"
+    assert Reviewer(WorkbenchModel(), History()).state.data.rater == "Grace"
     assert file().is_file()
 
 
@@ -48,7 +48,7 @@ def test_a_folder_that_can_not_be_made_is_one_notice(qapp: object, tmp_path: Pat
     model.noticed.connect(lambda text, _: said.append(text))
     reviewer = Reviewer(model, History())
     reviewer.set_rater("Ada")
-    assert reviewer.state.rater == "Ada"
+    assert reviewer.state.data.rater == "Ada"
     assert "can't be made" in said[0]
 
 
