@@ -17,6 +17,7 @@ ENDINGS = {
     "NumPy": (".npy", ".npz"),
     "FITS": (".fits", ".fit", ".fts"),
     "HDF5": (".h5", ".hdf5", ".nxs"),
+    "video": (".avi", ".mp4", ".m4v", ".mov", ".mkv", ".mjpeg", ".mjpg"),
 }
 """Of every format, in small letters, with the dot."""
 

@@ -17,6 +17,7 @@ from pv_inspect.image_files.picture import ImageFormat, Listing, Picture
 from pv_inspect.image_files.png import png_header, png_pixels
 from pv_inspect.image_files.regular import FileState, open_regular
 from pv_inspect.image_files.tiff_series import decoded_tiff, listed_tiff
+from pv_inspect.image_files.video import decoded_video, listed_video
 
 __all__ = ["FORMATS", "FORMAT_NAMES", "format_of"]
 
@@ -48,6 +49,7 @@ FORMATS = (
     ImageFormat("FITS", listed_fits, decoded_fits),
     ImageFormat("NumPy", listed_numpy, decoded_numpy, stacks=True),
     ImageFormat("HDF5", listed_hdf5, decoded_hdf5, stacks=True),
+    ImageFormat("video", listed_video, decoded_video, stacks=True),
 )
 _OF_ENDING = {ending: kind for kind in FORMATS for ending in ENDINGS[kind.name]}
 

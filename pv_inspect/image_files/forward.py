@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,11 +15,14 @@ __all__ = ["ForwardReader"]
 
 Pixels = NDArray[Any]
 
+# Threads work on neighbouring frames.
+_KEPT = 4
+
 
 class ForwardReader:
-    """Reads the k-th picture of a stream; forward steps cost little, backward ones start again.
+    """Reads the k-th picture of a stream; going far back starts again.
 
-    For several threads, one at a time.
+    For several threads, one at a time; they may ask a little out of order.
     """
 
     def __init__(self) -> None:
@@ -26,7 +30,7 @@ class ForwardReader:
         self._key: object = None
         self._stream: Iterator[Pixels] = iter(())
         self._next = 0
-        self._last: Pixels | None = None
+        self._last: OrderedDict[int, Pixels] = OrderedDict()
 
     def picture(self, key: object, index: int, begin: Callable[[], Iterator[Pixels]]) -> Pixels:
         """Return picture ``index``.
@@ -45,25 +49,29 @@ class ForwardReader:
             If the stream ends before.
         """
         with self._lock:
-            if key != self._key or index < self._next - 1 or self._last is None:
+            if key == self._key and index in self._last:
+                return self._last[index]
+            if key != self._key or index < self._next:
                 self._close()
                 self._stream, self._key = begin(), key
             try:
                 while self._next <= index:
-                    self._last = None
-                    self._last = next(self._stream)
+                    self._last[self._next] = next(self._stream)
                     self._next += 1
+                    if len(self._last) > _KEPT:
+                        self._last.popitem(last=False)
             except StopIteration:
+                n = self._next
                 self._close()
-                raise damaged(f"it ends after {self._next} pictures") from None
+                raise damaged(f"it ends after {n} pictures") from None
             except BaseException:
                 self._close()
                 raise
-            assert self._last is not None
-            return self._last
+            return self._last[index]
 
     def _close(self) -> None:
         close = getattr(self._stream, "close", None)
         if close is not None:
             close()
-        self._key, self._stream, self._next, self._last = None, iter(()), 0, None
+        self._key, self._stream, self._next = None, iter(()), 0
+        self._last.clear()

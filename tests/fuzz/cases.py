@@ -14,6 +14,7 @@ from tests.fuzz.case import Case
 from tests.fuzz.coded import jpegs, pngs
 from tests.fuzz.raw import damaged, tiffs
 from tests.fuzz.readers import matching
+from tests.fuzz.stacks import array_files, videos
 from tests.fuzz.stored import databases, models, zips
 from tests.fuzz.texts import encoded, json_texts, odd_strings, tokens
 from tests.fuzz.values import VALUE_TYPES, odd_values, other_text
@@ -79,10 +80,32 @@ def _series_frames(draw: st.DrawFn) -> Case:
 
 
 @st.composite
+def _videos(draw: st.DrawFn) -> Case:
+    """Damaged videos, and whole ones under the names of others."""
+    known = videos() or {"a.avi": b"RIFF"}
+    name = draw(st.sampled_from(sorted(known)))
+    data = known[name]
+    kind = draw(st.sampled_from(("whole", "anywhere", "anywhere", "head", "head", "tail")))
+    if kind == "anywhere":
+        data = draw(damaged(data, 6))
+    elif kind == "head":
+        n = draw(st.sampled_from((60, 400, 1500)))
+        data = draw(damaged(data[:n])) + data[n:]
+    elif kind == "tail":  # where MP4 has its index
+        n = draw(st.sampled_from((60, 400, 1500)))
+        data = data[:-n] + draw(damaged(data[-n:]))
+    ending = draw(st.sampled_from((name[1:], name[1:], ".mp4", ".avi", ".m4v")))
+    files: list[tuple[str, bytes | None]] = [
+        (known, None) for known in seeds.frames() if not known.endswith(".json")
+    ]
+    return Case("frames", (*files, (f"frames/v{ending}", data)))
+
+
+@st.composite
 def _array_frames(draw: st.DrawFn) -> Case:
     """Damaged stacks of NumPy, FITS and HDF5."""
-    name = draw(st.sampled_from(sorted(seeds.array_files())))
-    data = seeds.array_files()[name]
+    name = draw(st.sampled_from(sorted(array_files())))
+    data = array_files()[name]
     kind = draw(st.sampled_from(("whole", "anywhere", "head", "head", "text")))
     if kind == "anywhere":
         data = draw(damaged(data))
@@ -295,6 +318,7 @@ CASES: dict[str, Callable[[], st.SearchStrategy[Case]]] = {
     "frames, values": _value_frames,
     "frames, series": _series_frames,
     "frames, arrays": _array_frames,
+    "frames, videos": _videos,
     "frames, odd names": _named_frames,
     "links, pipes, devices": _links,
     "module.json": _sidecars,
@@ -318,6 +342,7 @@ SHARES = {
     "frames, values": 4,
     "frames, series": 3,
     "frames, arrays": 8,
+    "frames, videos": 6,
     "frames, odd names": 3,
     "links, pipes, devices": 2,
     "module.json": 5,

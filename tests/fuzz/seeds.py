@@ -7,7 +7,6 @@ import json
 import sqlite3
 import struct
 import tempfile
-from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ import tifffile
 from numpy.typing import NDArray
 
 __all__ = [
-    "array_files",
     "jpegs",
     "pictures",
     "pngs",
@@ -124,43 +122,6 @@ def tiffs() -> tuple[bytes, ...]:
         _by_opencv(".tif", narrow, cv2.IMWRITE_TIFF_COMPRESSION, 7),  # JPEG
         _by_opencv(".tif", narrow, cv2.IMWRITE_TIFF_COMPRESSION, 32773),  # PackBits
     )
-
-
-@cache
-def array_files() -> dict[str, bytes]:
-    """Stacks of NumPy, FITS and HDF5, plain, packed and with several arrays, by their names."""
-    stack = np.stack([picture(k) for k in range(3)])
-    narrow = np.stack([picture(k, 250, np.uint8) for k in range(3)])
-    found: dict[str, bytes] = {}
-    for name, array in (("a", stack), ("b", narrow), ("c", (stack / 7).astype(np.float32))):
-        buffer = io.BytesIO()
-        np.save(buffer, np.asfortranarray(array) if name == "b" else array)
-        found[f"{name}.npy"] = buffer.getvalue()
-    for name, save in (("a", np.savez), ("b", np.savez_compressed)):
-        buffer = io.BytesIO()
-        save(buffer, frames=stack, dark=stack[0], other=narrow)
-        found[f"{name}.npz"] = buffer.getvalue()
-    with suppress(ImportError):
-        from astropy.io import fits
-
-        units: list[Any] = [fits.PrimaryHDU(stack), fits.ImageHDU(stack[0], name="dark")]
-        packed: list[Any] = [fits.PrimaryHDU(), fits.CompImageHDU(stack)]
-        floats: list[Any] = [fits.PrimaryHDU(stack.astype(np.float32))]
-        for name, hdus in (("a", units), ("b", packed), ("c", floats)):
-            buffer = io.BytesIO()
-            fits.HDUList(hdus).writeto(buffer)
-            found[f"{name}.fits"] = buffer.getvalue()
-    with suppress(ImportError):
-        import h5py
-
-        for name, how in (("a", {}), ("b", {"chunks": (1, HEIGHT, 16), "compression": "gzip"})):
-            buffer = io.BytesIO()
-            with h5py.File(buffer, "w") as file:
-                file.create_dataset("entry/data", data=stack, **how)
-                file["entry/dark"] = stack[0]
-                file["entry/other"] = narrow
-            found[f"{name}.h5"] = buffer.getvalue()
-    return found
 
 
 @cache
