@@ -5,7 +5,7 @@ from __future__ import annotations
 from enum import StrEnum
 from functools import cache
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
 
 from pydantic import BaseModel, Field, TypeAdapter
 from pydantic.dataclasses import dataclass
@@ -165,6 +165,15 @@ class DeclaredModel(BaseModel):
     def stage_of(cls, name: str) -> Stage:
         """Return the first stage that a change of this setting makes stale."""
         return cls.declared(name).stage
+
+    def first_stale_stage(self, other: Self) -> Stage | None:
+        """Return the first stage that has to run again to get from ``self`` to ``other``."""
+        stages = [
+            self.stage_of(name)
+            for name in type(self).model_fields
+            if getattr(self, name) != getattr(other, name)
+        ]
+        return min(stages, key=lambda stage: stage.index, default=None)
 
 
 @cache

@@ -394,12 +394,3 @@ class Settings(DeclaredModel):
     def read_limits(self) -> ReadLimits:
         """What is read at most, for `FrameSequence.open`."""
         return ReadLimits(self.max_frame_mpx, self.max_frames)
-
-    def first_stale_stage(self, other: Settings) -> Stage | None:
-        """Return the first stage that has to run again to get from ``self`` to ``other``."""
-        stages = [
-            self.stage_of(name)
-            for name in type(self).model_fields
-            if getattr(self, name) != getattr(other, name)
-        ]
-        return min(stages, key=lambda stage: stage.index, default=None)

@@ -23,7 +23,7 @@ from pv_inspect.settings import Settings, Stage
 __all__ = ["control_of", "label_of", "tooltip_of"]
 
 # Units that say no more than the title does.
-_WORDS = ("1", "cells", "frames", "file", "probability", "noise units")
+_WORDS = ("1", "cells", "frames", "file", "name", "probability", "noise units")
 
 
 def label_of(name: str) -> str:
