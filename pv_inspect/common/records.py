@@ -91,7 +91,8 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
     try:
         return path.read_text(encoding="utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
-        raise ValueError(f"it is no text in {'UTF-16' if wide else 'UTF-8'}") from None
+        # A binary file may begin with a mark of UTF-16 by chance: both that are read are named.
+        raise ValueError("it is no text in UTF-8 or UTF-16") from None
 
 
 def json_from(text: str) -> Any:

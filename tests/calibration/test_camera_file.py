@@ -122,9 +122,11 @@ def test_a_file_that_is_no_calibration_is_one_sentence(
 def test_a_missing_or_binary_file_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InspectionError, match="can't be read"):
         read_camera(tmp_path / "none.yml", SHAPE)
-    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InspectionError, match="it is no text in UTF-8"):
-        read_camera(tmp_path / "binary", SHAPE)
+    # The first begins as UTF-16 does, the second does not.
+    for content in (b"\xff\xfe\x00", b"\x93NUMPY"):
+        (tmp_path / "binary").write_bytes(content)
+        with pytest.raises(InspectionError, match="it is no text in UTF-8 or UTF-16"):
+            read_camera(tmp_path / "binary", SHAPE)
 
 
 def nested(opening: str, closing: str, depth: int) -> str:
