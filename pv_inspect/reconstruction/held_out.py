@@ -41,6 +41,8 @@ class View:
         Intensities on the module's scale and 1 / variance.
     motion : (2,) float64
         See `pv_inspect.observation.motion_blur.motion_of`.
+    grain_px : int
+        See `NoiseModel`; pixels are held out in squares of this side, for one tells of the others.
     """
 
     H: Array
@@ -48,6 +50,7 @@ class View:
     g: Image
     weights: Image
     motion: Array = field(default_factory=lambda: STILL)
+    grain_px: int = 1
 
 
 def seen_part(
@@ -80,6 +83,7 @@ def cut_view(
     g: Image,
     weights: Image,
     motion: Array = STILL,
+    grain_px: int = 1,
 ) -> View | None:
     """Cut what a frame sees of a window; None if it sees nothing of it."""
     part = seen_part(camera, H, window, (g.shape[0], g.shape[1]))
@@ -91,6 +95,7 @@ def cut_view(
         np.ascontiguousarray(g[part]),
         np.ascontiguousarray(weights[part]),
         motion,
+        grain_px,
     )
 
 
@@ -107,7 +112,11 @@ def split(views: Sequence[View], share: float, seed: int) -> tuple[list[Image], 
     rng = np.random.default_rng(seed)
     train, test = [], []
     for view in views:
-        out = rng.random(view.weights.shape) < share
+        side = view.grain_px
+        height, width = view.weights.shape
+        out = rng.random((-(-height // side), -(-width // side))) < share
+        if side > 1:
+            out = out.repeat(side, 0).repeat(side, 1)[:height, :width]
         train.append(np.where(out, np.float32(0), view.weights))
         test.append(np.where(out, view.weights, np.float32(0)))
     return train, test

@@ -199,11 +199,12 @@ def _all_added(
     """Let all frames enter; returns what they show of some windows."""
     registration, rays = data.registration, data.equations.model.rays
     views: list[list[View]] = [[] for _ in windows]
+    grain = data.sequence.noise.grain_px
     for k, i in enumerate(frames):
         g, weights = data.add(int(i))
         H, motion = registration.homographies[i], data.motion[i]
         for window, seen in zip(windows, views, strict=True):
-            view = cut_view(registration.camera, H, rays, window, g, weights, motion)
+            view = cut_view(registration.camera, H, rays, window, g, weights, motion, grain)
             if view is not None:
                 seen.append(view)
         share = begin + (end - begin) * (k + 1) / frames.size
@@ -278,7 +279,8 @@ def _estimate_psf(
     views = []
     for i in used:
         g, weights = observed(sequence, registration, int(i), photometry)
-        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i])
+        grain = sequence.noise.grain_px
+        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i], grain)
         if view is not None:
             views.append(view)
     if not views:

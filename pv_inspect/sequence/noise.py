@@ -37,10 +37,14 @@ class NoiseModel:
         Variance without light, full scale squared.
     shot_gain : float
         Growth of the variance with intensity, full scale (1 / full well, in electrons).
+    grain_px : int
+        Side of the squares within which errors are not independent: 1 for a camera, 8 after the
+        compression of JPEG and video.
     """
 
     read_variance: float
     shot_gain: float
+    grain_px: int = 1
 
     def sigma(self, image: NDArray[Any]) -> Image:
         """Return the standard deviation of the noise at every intensity of ``image``.

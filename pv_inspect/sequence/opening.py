@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.image_files.jpeg_loss import jpeg_error_variance
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.sequence.copies import FrameContents
 from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame, read_tinted
 from pv_inspect.sequence.frame_list import existing_image
+from pv_inspect.sequence.noise import NoiseModel
 from pv_inspect.sequence.sensor import temporal_median
 from pv_inspect.sequence.values import Raw, ValueScale, ValueSurvey, comparable
 
-__all__ = ["DecodedFrames", "check_frames", "read_reference", "reference_dn"]
+__all__ = ["DecodedFrames", "check_frames", "read_reference", "reference_dn", "with_compression"]
 
 _SMALLEST_SIDE_PX = 32
+# Frames that the loss of compression is estimated from.
+_LOSS_FRAMES = 3
+# JPEG and most video compress blocks of this side.
+_COMPRESSION_PX = 8
 
 
 class DecodedFrames:
@@ -92,6 +100,30 @@ def check_frames(
             "delivered."
         )
     return shape, survey
+
+
+def with_compression(
+    noise: NoiseModel, files: Sequence[FrameFile], full_scale: float
+) -> NoiseModel:
+    """Add to the noise what JPEG has taken from the frames, estimated on some of them.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        Estimated from the pixels, where compression has smoothed most of it away.
+    files : sequence of FrameFile
+    full_scale : float
+        DN.
+    """
+    if not any(file.picture.lossy for file in files):
+        return noise
+    noise = replace(noise, grain_px=_COMPRESSION_PX)
+    paths = [file.path for file in files if file.format.name == "JPEG"]
+    if not paths:
+        return noise
+    some = paths[:: max(1, len(paths) // _LOSS_FRAMES)][:_LOSS_FRAMES]
+    error = float(np.median([jpeg_error_variance(path, files[0].limits) for path in some]))
+    return replace(noise, read_variance=noise.read_variance + error / full_scale**2)
 
 
 def _kind(file: FrameFile) -> str:

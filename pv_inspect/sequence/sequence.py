@@ -26,6 +26,7 @@ from pv_inspect.sequence.opening import (
     check_frames,
     read_reference,
     reference_dn,
+    with_compression,
 )
 from pv_inspect.sequence.sensor import (
     black_level,
@@ -235,6 +236,7 @@ class FrameSequence:
             for raw in raws[:: max(1, len(raws) // 8)]
         ]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
+        noise = with_compression(noise, files, full_scale)
         return cls(
             names,
             shape,

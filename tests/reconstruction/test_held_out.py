@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,14 @@ def test_split_parts_all_pixels_and_is_the_same_every_time() -> None:
     assert np.mean([(t > 0).mean() for t in test]) == pytest.approx(0.1, abs=0.02)
     np.testing.assert_array_equal(test[1], split(views, 0.1, 5)[1][1])
     assert (test[0] != test[1]).any()
+
+
+def test_frames_whose_errors_hang_together_are_split_in_squares() -> None:
+    views = [replace(view, grain_px=8) for view in seen(STILL)[0]]
+    for a, b, view in zip(*split(views, 0.3, 5), views, strict=True):
+        np.testing.assert_array_equal(a + b, view.weights)
+        squares = (b > 0)[:, :48].reshape(6, 8, 6, 8).mean(axis=(1, 3))
+        assert set(np.unique(squares)) == {0.0, 1.0}
 
 
 @pytest.mark.parametrize("motion", [STILL, motion_of(3.0, 30.0)])
