@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -31,6 +32,8 @@ class ForwardReader:
         self._stream: Iterator[Pixels] = iter(())
         self._next = 0
         self._last: OrderedDict[int, Pixels] = OrderedDict()
+        # While the modules that a stream needs are still there.
+        atexit.register(self.close)
 
     def picture(self, key: object, index: int, begin: Callable[[], Iterator[Pixels]]) -> Pixels:
         """Return picture ``index``.
@@ -68,6 +71,11 @@ class ForwardReader:
                 self._close()
                 raise
             return self._last[index]
+
+    def close(self) -> None:
+        """Close what is open."""
+        with self._lock:
+            self._close()
 
     def _close(self) -> None:
         close = getattr(self._stream, "close", None)

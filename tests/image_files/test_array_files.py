@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import io
+import subprocess
 import sys
 import tracemalloc
 import warnings
@@ -286,6 +287,16 @@ def test_an_archive_of_zeros_is_refused_by_what_it_unfolds_to(tmp_path: Path) ->
     with pytest.raises(InspectionError, match="unfold from"):
         FrameSequence.open(tmp_path / "x.npz")
     assert "has to be read as a whole" in complaint(tmp_path / "x.npz")
+
+
+def test_a_stream_that_is_left_open_ends_without_a_word(tmp_path: Path) -> None:
+    path = npz(tmp_path / "x.npz", stack())
+    code = (
+        "from pathlib import Path; from pv_inspect.sequence.frame_files import expand, read_frame; "
+        f"read_frame(expand(Path({str(path)!r}))[1])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 def test_a_header_of_python_2_is_read_without_a_word(tmp_path: Path) -> None:

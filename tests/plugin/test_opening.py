@@ -13,7 +13,7 @@ from napari.layers import Layer
 from pytestqt.qtbot import QtBot
 from qtpy.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from qtpy.QtGui import QDragEnterEvent, QDropEvent
-from qtpy.QtWidgets import QApplication
+from qtpy.QtWidgets import QApplication, QFileDialog
 
 from napari_pv_inspect.application import build
 from napari_pv_inspect.models.workbench import RunState
@@ -190,6 +190,40 @@ def drop(viewer: Any, *paths: Path) -> None:
     # Qt delivers a drop only where the drag was let in.
     QApplication.sendEvent(target, QDragEnterEvent(QPoint(5, 5), *more))
     QApplication.sendEvent(target, QDropEvent(QPointF(5, 5), *more))
+
+
+def test_a_file_of_several_series_asks_which_and_the_setting_answers(
+    app: Any,
+    tiny_sequence: FrameSequence,
+    tmp_path: Path,
+    qtbot: QtBot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, dock, _ = app
+    model = dock.workbench.model
+    frames = np.stack([tiny_sequence.raw(k) for k in range(4)])
+    path = tmp_path / "stack.npz"
+    np.savez(path, left=frames, right=frames[:3])
+    asked: list[str] = []
+
+    def chosen(*words: Any) -> tuple[list[str], str]:
+        asked.extend(map(str, words[1:]))
+        return [str(path)], ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileNames", chosen)
+    notices: list[str] = []
+    model.noticed.connect(lambda text, error: notices.append(text) if error else None)
+    dock.open_files.click()
+    opened(dock, qtbot)
+    assert model.sequence is None
+    assert "holds 2 series of pictures, 1 'left' (4 of" in notices[0]
+    assert "*.npz" in asked[-1]
+    model.change_settings(series="right")
+    assert dock.reading.form.value_of("series") == "right"
+    dock.open_files.click()
+    opened(dock, qtbot)
+    assert model.sequence is not None
+    assert len(model.sequence) == 3
 
 
 def test_folders_stacks_lists_and_results_can_be_dropped(
