@@ -41,7 +41,8 @@ class SettingsForm(QWidget):
     model : WorkbenchModel
     group : Group
     stand_ins : callable, optional
-        Returns what counts at present where a setting is on automatic, by its name.
+        Returns what counts at present where a setting is on automatic, by its name; None: nobody
+        knows it yet.
     on_change : dict, optional
         What is called with a value that the user has given, for settings that take more than
         a change of the settings.
@@ -169,9 +170,8 @@ class SettingsForm(QWidget):
             if control.value != value:
                 with control.changed.blocked():
                     control.value = value
-            stand_in = stand_ins.get(name)
-            if value is None and stand_in is not None:
-                control.native.show_number(stand_in)
+            if value is None and isinstance(control.native, NumberSlider):
+                control.native.show_number(stand_ins.get(name))
         usual = Settings()
         changed = sum(getattr(settings, name) != getattr(usual, name) for name in self._rare)
         self.more.setText(f"{MORE} ({changed})" if changed else MORE)

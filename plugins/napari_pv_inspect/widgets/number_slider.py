@@ -22,6 +22,44 @@ STEPS = 400
 NUMBER_WIDTH = 76
 
 
+class _Number(QDoubleSpinBox):
+    """A number whose text is empty while nobody knows it; tells that it was confirmed by hand."""
+
+    confirmed = Signal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._unknown = self._typed = False
+        self.lineEdit().textEdited.connect(self._on_text)
+        self.editingFinished.connect(self._on_finished)
+        self.lineEdit().returnPressed.connect(self.confirmed)
+
+    def set_unknown(self, unknown: bool) -> None:
+        """Leave the text empty, or write the value again."""
+        if unknown != self._unknown:
+            self._unknown, self._typed = unknown, False
+            with QSignalBlocker(self):
+                self.setSuffix(" ")  # writes the text; so does nothing else that keeps the value
+                self.setSuffix("")
+
+    def textFromValue(self, value: float) -> str:  # noqa: N802 (Qt's name)
+        """Return the text of a value, as Qt asks for it."""
+        return "" if self._unknown and not self._typed else super().textFromValue(value)
+
+    def stepBy(self, steps: int) -> None:  # noqa: N802 (Qt's name)
+        """Step as Qt asks for it; from an empty text to where the slider stands and on."""
+        self.set_unknown(False)
+        super().stepBy(steps)
+
+    def _on_text(self, text: str) -> None:
+        self._typed = bool(text.strip())
+
+    def _on_finished(self) -> None:
+        if self._typed:
+            self._typed = False
+            self.confirmed.emit()
+
+
 class NumberSlider(QWidget):
     """Shows and changes one number, which may be found automatically.
 
@@ -61,7 +99,7 @@ class NumberSlider(QWidget):
         self._log = logarithmic
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, STEPS)
-        self.number = QDoubleSpinBox()
+        self.number = _Number()
         self.number.setDecimals(decimals)
         least, most = limits
         self.number.setRange(low if least is None else least, high if most is None else most)
@@ -95,7 +133,9 @@ class NumberSlider(QWidget):
             QWidget.setTabOrder(self.automatic, self.number)
         QWidget.setTabOrder(self.number, self.slider)
         self.slider.valueChanged.connect(self._on_slider)
+        self.slider.sliderReleased.connect(self._on_confirmed)
         self.number.valueChanged.connect(self._on_number)
+        self.number.confirmed.connect(self._on_confirmed)
 
     def value(self) -> float | None:
         """Return the number, None if it is found automatically."""
@@ -111,11 +151,18 @@ class NumberSlider(QWidget):
         if value is not None:
             self.show_number(value)
 
-    def show_number(self, value: float) -> None:
-        """Show a number and leave the mark as it is: what automatic stands for at present."""
+    def show_number(self, value: float | None) -> None:
+        """Show a number and leave the mark as it is: what automatic stands for at present.
+
+        None: nobody knows it yet. No number stands there and the slider in its middle.
+        """
+        unknown = value is None
+        if value is None:
+            value = self._value_at(STEPS // 2)
         with QSignalBlocker(self.number), QSignalBlocker(self.slider):
             self.number.setValue(value)
             self.slider.setValue(self._position(value))
+        self.number.set_unknown(unknown)
 
     def _on_slider(self, position: int) -> None:
         value = self._value_at(position)
@@ -128,11 +175,19 @@ class NumberSlider(QWidget):
             self.slider.setValue(self._position(value))
         self._give(value)
 
-    def _on_automatic(self, _: bool) -> None:
+    def _on_automatic(self, automatic: bool) -> None:
+        if not automatic:
+            self.number.set_unknown(False)
         self.changed.emit(self.value())
+
+    def _on_confirmed(self) -> None:
+        """Take the number that automatic stands for: it was confirmed by hand."""
+        if self.value() is None and self.number.text():
+            self._give(float(self.number.value()))
 
     def _give(self, value: float) -> None:
         """Tell a number that was set by hand."""
+        self.number.set_unknown(False)
         if self.automatic is not None:
             with QSignalBlocker(self.automatic):
                 self.automatic.setChecked(False)

@@ -99,7 +99,7 @@ class LensBox(QGroupBox):
             self.load_camera(path)
 
     def _stand_ins(self) -> dict[str, float | None]:
-        return {"kappa": self._live.fitted_kappa or 0.0}
+        return {"kappa": self._live.fitted_kappa}
 
     def _on_settings(self, settings: Settings) -> None:
         self.curve.mark(settings.kappa if settings.kappa is not None else self._live.fitted_kappa)
