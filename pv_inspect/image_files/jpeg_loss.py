@@ -24,7 +24,7 @@ from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.image_files.problems import ImageFileError
 from pv_inspect.image_files.regular import open_regular
 
-__all__ = ["jpeg_error_variance", "rounding_error"]
+__all__ = ["error_variance_of", "jpeg_error_variance", "rounding_error"]
 
 _SIDE = 8
 # Blocks that show the module: this share of the way from dark to bright.
@@ -41,21 +41,28 @@ _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def jpeg_error_variance(path: Path, limits: ReadLimits) -> float:
-    """Estimate the mean squared error of the bright pixels of a JPEG file.
+    """Estimate the mean squared error of a JPEG file as `error_variance_of` does."""
+    try:
+        with open_regular(path) as file:
+            return error_variance_of(file.read(), limits)
+    except ImageFileError:
+        return 0.0
+
+
+def error_variance_of(data: bytes, limits: ReadLimits) -> float:
+    """Estimate the mean squared error of the bright pixels of a JPEG.
 
     Parameters
     ----------
-    path : Path
+    data : bytes
     limits : ReadLimits
 
     Returns
     -------
     float
-        DN^2 of 8 bits; 0 for other files, and where nothing is bright.
+        DN^2 of 8 bits; 0 for other data, and where nothing is bright.
     """
     try:
-        with open_regular(path) as file:
-            data = file.read()
         image = decoded_jpeg(data, None, limits)
     except ImageFileError:
         return 0.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.image_files.forward import ForwardReader
+from pv_inspect.image_files.jpeg_loss import error_variance_of
 from pv_inspect.image_files.limits import ReadLimits, check_size
 from pv_inspect.image_files.orientation import AS_STORED, turned, turned_shape
 from pv_inspect.image_files.picture import Listing, Picture
@@ -25,7 +27,7 @@ from pv_inspect.image_files.raw_avi import RawAvi, raw_avi, raw_avi_pixels, raw_
 from pv_inspect.image_files.regular import FileState, open_regular
 from pv_inspect.image_files.series import Series, chosen_series, left_out
 
-__all__ = ["decoded_video", "listed_video"]
+__all__ = ["decoded_video", "listed_video", "video_error_variance"]
 
 Pixels = NDArray[Any]
 
@@ -92,6 +94,27 @@ def decoded_video(path: Path, state: FileState, picture: Picture, limits: ReadLi
                 yield turned(image, picture.orientation)
 
     return _forward.picture((path, state, stream), index, begin)
+
+
+def video_error_variance(
+    path: Path, state: FileState, picture: Picture, limits: ReadLimits, most: int
+) -> float:
+    """Estimate the mean squared error of a video of JPEG pictures from its first ones.
+
+    Returns
+    -------
+    float
+        DN^2 of 8 bits; 0 for other videos.
+    """
+    try:
+        with open_regular(path, state) as file, _opened(file, limits) as container:
+            stream = container.streams.video[int(picture.place[0])]
+            if stream.codec_context.name != "mjpeg":
+                return 0.0
+            packets = [bytes(packet) for packet in islice(container.demux(stream), most)]
+    except ImageFileError:
+        return 0.0
+    return float(np.median([error_variance_of(packet, limits) for packet in packets] or [0.0]))
 
 
 @lru_cache(maxsize=4)

@@ -12,6 +12,7 @@ import numpy as np
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.jpeg_loss import jpeg_error_variance
 from pv_inspect.image_files.limits import ReadLimits
+from pv_inspect.image_files.video import video_error_variance
 from pv_inspect.sequence.copies import FrameContents
 from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame, read_tinted
 from pv_inspect.sequence.frame_list import existing_image
@@ -115,14 +116,17 @@ def with_compression(
     full_scale : float
         DN.
     """
-    if not any(file.picture.lossy for file in files):
+    lossy = [file for file in files if file.picture.lossy]
+    if not lossy:
         return noise
     noise = replace(noise, grain_px=_COMPRESSION_PX)
-    paths = [file.path for file in files if file.format.name == "JPEG"]
-    if not paths:
-        return noise
-    some = paths[:: max(1, len(paths) // _LOSS_FRAMES)][:_LOSS_FRAMES]
-    error = float(np.median([jpeg_error_variance(path, files[0].limits) for path in some]))
+    first, limits = lossy[0], lossy[0].limits
+    if first.format.name == "video":
+        error = video_error_variance(first.path, first.state, first.picture, limits, _LOSS_FRAMES)
+    else:
+        paths = [file.path for file in lossy if file.format.name == "JPEG"]
+        some = paths[:: max(1, len(paths) // _LOSS_FRAMES)][:_LOSS_FRAMES]
+        error = float(np.median([jpeg_error_variance(path, limits) for path in some] or [0.0]))
     return replace(noise, read_variance=noise.read_variance + error / full_scale**2)
 
 

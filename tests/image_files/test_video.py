@@ -139,6 +139,20 @@ def test_a_video_is_a_sequence_with_a_warning(tmp_path: Path) -> None:
         assert any("video, compressed with loss" in text for text in sequence.warnings)
 
 
+def test_what_jpeg_has_taken_from_a_video_is_noise(tmp_path: Path) -> None:
+    noises = []
+    for step in ("20", "3"):
+
+        def coarse(stream: Any, step: str = step) -> None:
+            stream.options = {"qmin": step, "qmax": step}
+
+        path = write(tmp_path / f"{step}.avi", "mjpeg", "yuvj420p", stack(), coarse)
+        noises.append(FrameSequence.open(path).noise)
+    lossless = FrameSequence.open(write(tmp_path / "x.avi", "ffv1", "gray", stack())).noise
+    assert [noise.grain_px for noise in (*noises, lossless)] == [8, 8, 1]
+    assert noises[0].read_variance > 2 * noises[1].read_variance > 0
+
+
 def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
     for name, code, slack in (("a.avi", cv2.VideoWriter.fourcc(*"MJPG"), 6), ("b.avi", 0, 1)):
         writer = cv2.VideoWriter(str(tmp_path / name), code, 10, SHAPE[::-1])
