@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from napari_pv_inspect.reader import read_sequence
-from napari_pv_inspect.user_state import cache_folder
 
 if TYPE_CHECKING:
     from napari_pv_inspect.layers.layer_data import LayerData
@@ -25,6 +24,8 @@ def sample_folder() -> Path:
     """Return the sample of the checkout, or else one that is simulated once and kept."""
     if (CHECKOUT_SAMPLE / "frames").is_dir():
         return CHECKOUT_SAMPLE
+    from napari_pv_inspect.user_state import cache_folder
+
     folder = cache_folder() / "sample_module"
     if not (folder / "module.json").is_file():
         _simulate(folder)
