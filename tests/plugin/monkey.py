@@ -194,7 +194,7 @@ class Monkey:
     def _do_withdraw(self) -> None:
         cell, state = self.workbench.model.selected_cell, self.workbench.review.state
         if cell is not None and state.storage.folder is not None:
-            self._told(cell, None, self.workbench.review.commands.withdraw)
+            self._told(cell, None, self.workbench.review.withdraw)
 
     def _told(self, cell: Cell, kind: VerdictKind | None, say: Callable[[], Any]) -> None:
         history, folder = self.workbench.history, self.workbench.review.state.storage.folder

@@ -57,7 +57,7 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
     for k, dock in enumerate(docks):
         dock.save(tmp_path / f"out{k}")
         state = dock.workbench.review.state
-        qtbot.waitUntil(lambda s=state: s.folder is not None)
+        qtbot.waitUntil(lambda s=state: s.storage.folder is not None)
         dock.workbench.model.select_cell((k, 0))
         dock.workbench.review.judge(VerdictKind.OK)
     viewers[0].close()
@@ -79,7 +79,7 @@ def test_two_windows_judge_the_same_result_at_once(
         dock.workbench.review.state.set_rater(name)
         dock.workbench.open(tmp_path / "out")
         state = dock.workbench.review.state
-        qtbot.waitUntil(lambda s=state: s.folder is not None and not s.pending)
+        qtbot.waitUntil(lambda s=state: s.storage.folder is not None and not s.storage.pending)
     for kind in (VerdictKind.OK, VerdictKind.CRACK_B):
         for dock in docks:
             dock.workbench.review.state.commands.give((0, 0), kind)

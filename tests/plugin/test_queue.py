@@ -117,12 +117,12 @@ def test_run_is_offered_while_a_run_with_other_settings_goes_on(
     hold(runs, replayed, qtbot)
     assert not dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Cancel the run"
-    dock.image.form["prior_weight"].number.setValue(0.5)
+    dock.image.form["prior_weight"].number.setValue(0.25)
     assert dock.run.run.isEnabled()
     assert dock.steps.next.text() == "Run anew"
     dock.run.run.click()
     finish(runs, replayed, qtbot)
-    assert dock.workbench.model.inspection.settings.prior_weight == 0.5
+    assert dock.workbench.model.inspection.settings.prior_weight == 0.25
 
 
 def test_no_inspection_of_an_earlier_run_is_kept(

@@ -107,7 +107,7 @@ def test_what_is_not_shown_is_not_judged(
     said: list[str] = []
     dock.workbench.model.noticed.connect(lambda text, _: said.append(text))
     dock.workbench.review.judge(VerdictKind.CRACK_A)
-    dock.workbench.review.commands.withdraw()
+    dock.workbench.review.withdraw()
     cells.open_cell()
     assert said == [OTHER_LAYOUT, OTHER_LAYOUT]
     assert not large_cell(dock.workbench).is_open
