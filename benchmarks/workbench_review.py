@@ -116,7 +116,7 @@ def _paint(
     panel, (height, width) = view.cell_panel, state.data.subject.tiles.images.shape[2:]
     for number in range(strokes):
         y = (0.1 + 0.8 * number / strokes) * height
-        to = panel._transform()
+        to = panel.transform()
         ends = [to.map(QPointF(x * width, y)).toPoint() for x in (0.2, 0.8)]
         QTest.mousePress(panel, LEFT, NONE, ends[0])
         QTest.mouseMove(panel, ends[1])

@@ -123,7 +123,7 @@ class Watch:
 
     def wait_for_end(self) -> None:
         """Let the picture get as good as it gets."""
-        wait_until(lambda: self._live._picture is not None and self._live._picture.finished)
+        wait_until(lambda: self._live.picture is not None and self._live.picture.finished)
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
@@ -152,7 +152,7 @@ def measure(dock: InspectDock, inspection: Inspection) -> tuple[list[Latency], H
     dock.show_page("Image")
     live = show_live_cell(dock.workbench, dock)
     watch, heart = Watch(live), Heartbeat()
-    wait_until(lambda: live._picture is not None and live._picture.finished)
+    wait_until(lambda: live.picture is not None and live.picture.finished)
     # The gallery and the layers are drawn once; that is not what is measured here.
     time.sleep(0.5)
     QApplication.processEvents()

@@ -210,12 +210,12 @@ def tune(expert: Expert) -> None:
     expert.click(expert.dock.image.show_live)
     live = expert.viewer.window.dock_widgets["Live cell"]
     shown = expert.workbench.live_cell
-    expert.until(lambda: live._picture is not None and live._picture.finished, "the live cell")
+    expert.until(lambda: live.picture is not None and live.picture.finished, "the live cell")
     weight = expert.dock.image.form["prior_weight"]
-    before = live._picture
+    before = live.picture
     expert.slide(weight.slider, 0.15)
     assert expert.model.settings.prior_weight is not None
-    expert.until(lambda: live._picture is not before and live._picture.finished, "another lambda")
+    expert.until(lambda: live.picture is not before and live.picture.finished, "another lambda")
     view, place = live.view, live.view.target()
     y = round(place.center().y())
     expert.drag(
@@ -269,13 +269,13 @@ def correct_marks(expert: Expert) -> None:
     gallery, state = expert.cells, expert.workbench.review.state
     expert.press(gallery.view, Qt.Key.Key_Return)
     view = large_cell(expert.workbench).view
-    expert.until(lambda: view._frame is not None, "the best frame")
+    expert.until(lambda: view.frame is not None, "the best frame")
     cell = expert.model.selected_cell
     before = state.cells.features(cell).crack_length_cells
     expert.press(view, Qt.Key.Key_D)
     panel = view.cell_panel
     height, width = state.data.subject.tiles.images.shape[2:]
-    to = panel._transform()
+    to = panel.transform()
     way = [to.map(QPointF(x * width, y * height)).toPoint() for x, y in ((0.2, 0.3), (0.7, 0.45))]
     expert.drag(panel, *way)
     expert.until(lambda: state.storage.pending == 0, "the stored marks")
