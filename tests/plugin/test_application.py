@@ -151,6 +151,7 @@ from pathlib import Path
 from qtpy.QtCore import QTimer
 import napari_pv_inspect
 from napari_pv_inspect import application
+from napari_pv_inspect.napari_internals import main_window
 
 build = application.build
 
