@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.detection.detect import detect
 from pv_inspect.detection.layout_guess import guess_layout, is_known
+from pv_inspect.detection.wide_gaps import layout_with_gaps
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.doubts import doubts_of, warnings_of
@@ -101,11 +102,14 @@ def inspect_steps(
     begun = perf_counter()
     kept = start if start is not None and start.sequence is sequence else None
     with explained_errors(Stage.DETECT.value):
-        layout, guessed = _layout(sequence, settings, kept)
-    if kept is None:
-        state = Inspection(sequence, settings, layout, layout_guessed=guessed)
-    else:
-        state = replace(kept.under(settings), layout=layout, layout_guessed=guessed)
+        known = _layout(sequence, settings, kept)
+    fresh = Inspection(sequence, settings, known.layout)
+    state = replace(
+        fresh if kept is None else kept.under(settings),
+        layout=known.layout,
+        layout_guessed=known.guessed,
+        gaps_found=known.gaps_found,
+    )
     todo = [stage for stage in stages() if stage in state.stale(settings)]
     seconds = dict(state.seconds)
     seconds.setdefault(Stage.LOAD.value, perf_counter() - begun)
@@ -143,15 +147,27 @@ def inspect_steps(
     return replace(state, warnings=warnings_of(state), doubts=doubts_of(state))
 
 
-def _layout(
-    sequence: FrameSequence, settings: Settings, start: Inspection | None
-) -> tuple[ModuleLayout, bool]:
-    """Return the layout that was given, or else guessed, and whether it was guessed."""
-    if is_known(sequence, settings):
-        return sequence.layout(settings), False
+class _Known(NamedTuple):
+    """The layout of a run: whether it was guessed, and whether its wide gaps were seen."""
+
+    layout: ModuleLayout
+    guessed: bool
+    gaps_found: bool
+
+
+def _layout(sequence: FrameSequence, settings: Settings, start: Inspection | None) -> _Known:
+    """Return the layout that was given, or else guessed, with the wide gaps that frames show."""
     if start is not None and Stage.DETECT not in start.stale(settings):
-        return start.layout, start.layout_guessed
-    return guess_layout(sequence, settings, settings.module_at).layout, True
+        return _Known(start.layout, start.layout_guessed, start.gaps_found)
+    guessed = not is_known(sequence, settings)
+    if guessed:
+        layout = guess_layout(sequence, settings, settings.module_at).layout
+    else:
+        layout = sequence.layout(settings)
+    if sequence.says_gaps(settings):
+        return _Known(layout, guessed, False)
+    wide = layout_with_gaps(sequence, layout, settings.module_at)
+    return _Known(wide, guessed, wide != layout.plain)
 
 
 def _detect(state: Inspection) -> Generator[Progress, None, Crossings]:

@@ -43,6 +43,9 @@ class FakeSequence:
     def layout(self, settings: Settings) -> ModuleLayout:
         return replace(LAYOUT, rows=settings.rows or LAYOUT.rows)
 
+    def says_gaps(self, _settings: Settings) -> bool:
+        return True
+
 
 def made_crossings(n_frames: int = 3) -> Crossings:
     points = LAYOUT.crossings() * 20 + 10

@@ -13,7 +13,6 @@ from collections.abc import Generator
 from contextlib import suppress
 from functools import partial
 
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +23,7 @@ from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
 from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.overlapping_view import poses_in_other_frame
 from pv_inspect.detection.seen_layout import better_layout, fits_given, found_around, seen_layout
 from pv_inspect.detection.single_frame import (
     RUNS_OVER,
@@ -48,6 +48,9 @@ NEAR_CELLS = 0.5
 PROBED_TOGETHER = 3
 """Frames from all parts of the sequence that are looked at before the others, all means tried. If
 as many show the same other layout and none the given one, the given one is wrong."""
+CUT = "the border of the image cuts the module, and what is seen of it does not fit other frames"
+NEIGHBOURS = 3
+"""Frames in which the module was found that are compared with one in which it was not."""
 MAX_FAILED = 8
 """If so many frames show a bright area, but none the module, the others would not either."""
 
@@ -134,11 +137,8 @@ def detect(
         reason = reasons[index]
         if isinstance(reason, _OtherLayoutError) or str(reason).startswith(("black", "saturated")):
             continue
-        nearest = min(found, key=lambda other: abs(other - index))
         try:
-            image = sequence.frame(index).image
-            start = _translated(sequence.frame(nearest).image, image, found[nearest][0])
-            found[index] = _unless_better(image, layout, detect_in_frame(image, layout, start))
+            found[index] = _found_from_others(sequence, layout, index, found, reason)
             del reasons[index]
         except OutlineError as error:
             reasons[index] = error
@@ -156,6 +156,35 @@ def detect(
             for index in range(count)
         ),
     )
+
+
+def _found_from_others(
+    sequence: FrameSequence,
+    layout: ModuleLayout,
+    index: int,
+    found: dict[int, Found],
+    why: OutlineError,
+) -> Found:
+    """Find the module in a frame that shows a part of it, from frames in which it was found.
+
+    `why` is what the search in the frame alone came to.
+    """
+    image = sequence.frame(index).image
+    reason: OutlineError | None = None
+    cut = str(why) == RUNS_OVER
+    for other in sorted(found, key=lambda other: abs(other - index))[:NEIGHBOURS]:
+        try:
+            starts = poses_in_other_frame(sequence.frame(other).image, image, found[other].pose)
+            for start in starts:
+                try:
+                    return _unless_better(image, layout, detect_in_frame(image, layout, start))
+                except OutlineError as error:
+                    reason = reason or error
+        except OutlineError as error:
+            reason = reason or error
+    if cut:
+        raise OutlineError(f"{CUT} ({reason})")
+    raise reason or why
 
 
 def _spread(count: int) -> list[int]:
@@ -306,24 +335,3 @@ def _require_inside(point: tuple[float, float], layout: ModuleLayout, pose: Pose
         f"({point[0]:g}, {point[1]:g}) px; the nearest lies around ({x:.0f}, {y:.0f}): give a "
         "point inside of the wanted one (module_at, --module-at X Y)."
     )
-
-
-def _translated(reference: NDArray[np.float32], image: NDArray[np.float32], pose: Pose) -> Pose:
-    """Shift the pose of one frame to where the same picture is found in another frame."""
-    height, width = image.shape
-    pad = max(height, width) // 5
-    smooth = [cv2.GaussianBlur(a, (0, 0), 1.5) for a in (reference, image)]
-    template = smooth[0][pad // 2 : height - pad // 2, pad : width - pad]
-    canvas = cv2.copyMakeBorder(smooth[1], pad, pad, pad, pad, cv2.BORDER_CONSTANT, value=0)
-    score = cv2.matchTemplate(canvas, template, cv2.TM_CCOEFF_NORMED)
-    _, best, _, (x, y) = cv2.minMaxLoc(score)
-    if best < 0.4:
-        raise OutlineError(f"it does not look like its neighbours (correlation {best:.2f})")
-    shift = np.array([x - 2 * pad, y - pad - pad // 2], np.float64)
-    ideal = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) * 4
-    pixels = pose.project(ideal) + shift
-    normalised = pose.camera.undistort(pose.camera.to_normalised(pixels))
-    matrix = cv2.getPerspectiveTransform(
-        ideal.astype(np.float32), np.asarray(normalised).astype(np.float32)
-    )
-    return Pose(pose.camera, np.asarray(matrix, np.float64))

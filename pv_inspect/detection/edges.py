@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
@@ -23,7 +24,15 @@ from pv_inspect.detection.gap_model import (
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["CellEdges", "EdgeOffsets", "cell_edges", "measure_edges", "measure_gaps_robustly"]
+__all__ = [
+    "CellEdges",
+    "EdgeOffsets",
+    "cell_edges",
+    "edge_profiles",
+    "measure_edges",
+    "measure_gaps_robustly",
+    "scales_px",
+]
 
 Array = NDArray[np.float64]
 
@@ -54,6 +63,8 @@ class CellEdges:
         Whether cells lie on both sides.
     side : (n,) int64
         For outer edges: +1 if the module lies on the positive side of the normal, else -1.
+    gap : (n,) float64
+        By how much the gap at the edge is wider than a usual one, module units.
     """
 
     middle: Array
@@ -62,6 +73,11 @@ class CellEdges:
     crossings: NDArray[np.int64]
     inner: NDArray[np.bool_]
     side: NDArray[np.int64]
+    gap: Array
+
+    def part(self, which: NDArray[np.bool_]) -> CellEdges:
+        """Return some of the edges."""
+        return CellEdges(*(getattr(self, field.name)[which] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -83,29 +99,54 @@ class EdgeOffsets:
     found: NDArray[np.bool_]
     visible: NDArray[np.bool_]
 
+    @classmethod
+    def together(
+        cls, n: int, parts: Iterable[tuple[NDArray[np.bool_], EdgeOffsets]]
+    ) -> EdgeOffsets:
+        """Put the offsets of groups of edges, each with the mask of its edges, into one."""
+        nothing = np.zeros(n, bool)
+        whole = cls(np.full(n, np.nan), np.full(n, np.inf), nothing, nothing.copy())
+        for mask, part in parts:
+            for name in ("offset", "sigma", "found", "visible"):
+                getattr(whole, name)[mask] = getattr(part, name)
+        return whole
+
 
 def cell_edges(layout: ModuleLayout) -> CellEdges:
     """List the edges of all cells: first those along y, then those along x."""
     rows, cols, height = layout.rows, layout.cols, 1.0 / layout.cell_aspect
+    wide_x, wide_y = _gap_widths(layout)
     i, j = (a.ravel() for a in np.mgrid[0:rows, 0 : cols + 1])
     upright = (
-        np.column_stack([j, (i + 0.5) * height]).astype(float),
+        np.column_stack([layout.col_lines[j], layout.row_starts[i] + 0.5 * height]),
         np.tile([1.0, 0.0], (i.size, 1)),
         np.tile([0.0, height], (i.size, 1)),
         np.column_stack([i * (cols + 1) + j, (i + 1) * (cols + 1) + j]),
         (j > 0) & (j < cols),
         np.where(j == 0, 1, -1),
+        wide_x[j],
     )
     i, j = (a.ravel() for a in np.mgrid[0 : rows + 1, 0:cols])
     level = (
-        np.column_stack([j + 0.5, i * height]).astype(float),
+        np.column_stack([layout.col_starts[j] + 0.5, layout.row_lines[i]]),
         np.tile([0.0, 1.0], (i.size, 1)),
         np.tile([1.0, 0.0], (i.size, 1)),
         np.column_stack([i * (cols + 1) + j, i * (cols + 1) + j + 1]),
         (i > 0) & (i < rows),
         np.where(i == 0, 1, -1),
+        wide_y[i],
     )
     return CellEdges(*(np.concatenate(pair) for pair in zip(upright, level, strict=True)))
+
+
+def _gap_widths(layout: ModuleLayout) -> tuple[Array, Array]:
+    """How much wider than usual the gaps are at the upright and the level lines."""
+    across = np.full(layout.cols + 1, layout.cell_gap[0])
+    down = np.full(layout.rows + 1, layout.cell_gap[1])
+    for widths, gaps in ((across, layout.col_gaps), (down, layout.row_gaps)):
+        for after, gap in gaps:
+            widths[after] += gap
+    return across, down
 
 
 def measure_edges(
@@ -138,16 +179,40 @@ def measure_edges(
 
     which is linear in L, R, G. The place with the most significant (L + R) / 2 - G > 0 is refined
     by Gauss-Newton. An outer edge is measured as a step alone: it lies half a gap inside of the
-    cell's pitch.
+    cell's pitch. Gaps that are wider than the usual ones have that much larger w.
     """
+    groups = ((edges.gap == gap, float(gap)) for gap in np.unique(edges.gap))
+    return EdgeOffsets.together(
+        len(edges.middle),
+        (
+            (alike, _measure_alike(image, edges.part(alike), pose, search, gap))
+            for alike, gap in groups
+        ),
+    )
+
+
+def _measure_alike(
+    image: NDArray[np.float32], edges: CellEdges, pose: Pose, search: float, gap_units: float
+) -> EdgeOffsets:
+    """Measure edges whose gaps are wider than usual by the same width."""
     # Image pixels per module unit; everything below is in image pixels.
-    scale = float(np.nanmedian(_scale_px(edges, pose)))
-    reach = search * scale + max(shape.reach for shape in GAP_SHAPES) + 2 * STEP_PX
-    half = int(np.ceil(reach / STEP_PX))
-    x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
+    scale = float(np.nanmedian(scales_px(edges, pose)))
+    wider = gap_units * scale
+    usual = search * scale + max(shape.reach for shape in GAP_SHAPES) + 2 * STEP_PX
+    x = _distances(usual + wider / 2)
     search_px = max(search * scale, STEP_PX)
-    samples, visible = _profiles(image, edges, pose, x / scale, ALONG)
+    samples, visible = edge_profiles(image, edges, pose, x / scale, ALONG)
     profiles = samples.mean(axis=1)
+    around, at_cell = profiles, x
+    if wider:
+        # Half of a wide gap lies outside of the module, perhaps outside of the frame.
+        at_cell = _distances(usual)
+        moved = edges.middle + (0.5 * gap_units * edges.side)[:, None] * edges.normal
+        samples, seen = edge_profiles(
+            image, replace(edges, middle=moved), pose, at_cell / scale, ALONG
+        )
+        around = samples.mean(axis=1)
+        visible = np.where(edges.inner, visible, seen)
     place = np.full(len(profiles), np.nan)
     sigma = np.full(len(profiles), np.inf)
     found = np.zeros(len(profiles), bool)
@@ -155,7 +220,7 @@ def measure_edges(
     for axis in range(2):
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
         if inner.any():
-            shapes[axis] = best_shape(profiles[inner], x, search_px)
+            shapes[axis] = best_shape(profiles[inner], x, search_px, wider)
             place[inner], sigma[inner], found[inner] = fit_gaps(
                 profiles[inner], x, search_px, shapes[axis]
             )
@@ -168,14 +233,22 @@ def measure_edges(
             continue
         # Gaps between rows and between columns may differ in width.
         gaps = inner if inner.any() else found & edges.inner
-        gap = gap_width(profiles[gaps], x, place[gaps], shapes[axis]) if gaps.any() else 0.0
+        gap = 0.0
+        if not wider and gaps.any():
+            gap = gap_width(profiles[gaps], x, place[gaps], shapes[axis])
         turn = edges.side[outer] < 0
-        flipped = np.where(turn[:, None], profiles[outer][:, ::-1], profiles[outer])
-        step, deviation, good = fit_steps(flipped, x, search_px)
+        flipped = np.where(turn[:, None], around[outer][:, ::-1], around[outer])
+        step, deviation, good = fit_steps(flipped, at_cell, search_px)
         place[outer] = np.where(turn, -1, 1) * (step - gap / 2)
         sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1)
         found[outer] = good
     return EdgeOffsets(np.where(found, place / scale, np.nan), sigma / scale, found, visible)
+
+
+def _distances(reach: float) -> Array:
+    """Places of the samples of a profile, image pixels from its middle."""
+    half = int(np.ceil(reach / STEP_PX))
+    return STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
 
 
 def measure_gaps_robustly(
@@ -209,10 +282,29 @@ def measure_gaps_robustly(
     any proportion with equal probability, the middle is off by e / sqrt(12). Places and gaps that
     are wider than the clean ones of their direction therefore count less.
     """
-    scale = float(np.nanmedian(_scale_px(edges, pose)))
-    half = int(np.ceil((search * scale + BESIDE * shape.reach) / STEP_PX)) + 2
-    x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
-    samples, visible = _profiles(image, edges, pose, x / scale, ALONG_DENSELY)
+    groups = ((edges.gap == gap, float(gap)) for gap in np.unique(edges.gap))
+    return EdgeOffsets.together(
+        len(edges.middle),
+        (
+            (alike, _measure_alike_robustly(image, edges.part(alike), pose, search, shape, gap))
+            for alike, gap in groups
+        ),
+    )
+
+
+def _measure_alike_robustly(
+    image: NDArray[np.float32],
+    edges: CellEdges,
+    pose: Pose,
+    search: float,
+    usual: GapShape,
+    gap_units: float,
+) -> EdgeOffsets:
+    """Measure edges whose gaps are wider than usual by the same width."""
+    scale = float(np.nanmedian(scales_px(edges, pose)))
+    shape = usual.widened(gap_units * scale)
+    x = _distances(search * scale + BESIDE * shape.reach + 2 * STEP_PX)
+    samples, visible = edge_profiles(image, edges, pose, x / scale, ALONG_DENSELY)
     n, places = samples.shape[:2]
     profiles = samples.reshape(n * places, -1)
     place, _, found = fit_gaps(profiles, x, search * scale, shape)
@@ -226,7 +318,7 @@ def measure_gaps_robustly(
         along = good & (edges.normal[:, axis] == 1)
         if along.any():
             clean = np.percentile(np.nanmedian(dark[along], axis=1), CLEAN_PERCENTILE)
-            sigma[along] = np.hypot(PLACE_SIGMA * shape.width, UNEVEN * (dark[along] - clean))
+            sigma[along] = np.hypot(PLACE_SIGMA * usual.width, UNEVEN * (dark[along] - clean))
     mean, sigma = _robust_means(place[good], sigma[good])
     offset, deviation = np.full(n, np.nan), np.full(n, np.inf)
     offset[good], deviation[good] = mean / scale, sigma / scale
@@ -251,13 +343,14 @@ def _robust_means(values: Array, sigma: Array) -> tuple[Array, Array]:
     return mean, 1 / np.sqrt(precision.mean(axis=1))
 
 
-def _scale_px(edges: CellEdges, pose: Pose) -> Array:
+def scales_px(edges: CellEdges, pose: Pose) -> Array:
+    """LR pixels per module unit at each edge, (n,)."""
     jacobian = pose.camera.jacobian(pose.homography, edges.middle)
     with np.errstate(invalid="ignore"):  # NaN beyond the fold of the lens
         return np.asarray(np.sqrt(np.abs(np.linalg.det(jacobian))), np.float64)
 
 
-def _profiles(
+def edge_profiles(
     image: NDArray[np.float32], edges: CellEdges, pose: Pose, d: Array, along: Array
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Sample the image across each edge at several places along it: (n, places, distances)."""

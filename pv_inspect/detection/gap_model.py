@@ -74,6 +74,10 @@ class GapShape:
         """Return the shape in an image with `factor` times as many pixels per length."""
         return GapShape(self.blur * factor, self.width * factor, self.reach * factor)
 
+    def widened(self, by: float) -> GapShape:
+        """Return the shape of a gap that is so many pixels wider."""
+        return GapShape(self.blur, self.width + by, self.reach + by / 2)
+
 
 GAP_SHAPES = (
     GapShape(0.6, 1.3, 1.75),
@@ -145,10 +149,11 @@ def _search(
     return candidates, distance, parts, np.where(shallow, 0.0, significance)
 
 
-def best_shape(profiles: Array, x: Array, search: float) -> GapShape:
-    """Return the shape that most profiles fit."""
-    scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in GAP_SHAPES]
-    return GAP_SHAPES[int(np.argmax(scores))]
+def best_shape(profiles: Array, x: Array, search: float, wider: float = 0.0) -> GapShape:
+    """Return the shape that most profiles fit, for gaps that are wider by so many pixels."""
+    shapes = [shape.widened(wider) for shape in GAP_SHAPES]
+    scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in shapes]
+    return shapes[int(np.argmax(scores))]
 
 
 def fit_gaps(

@@ -8,7 +8,7 @@ middle of all its cells. Dead cells say nothing, so only bright cells are asked.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -100,7 +100,7 @@ def grid_fault(
     str
         Part of a sentence; empty if nothing does.
     """
-    around = ModuleLayout(layout.rows + 2 * RING, layout.cols + 2 * RING, layout.cell_aspect)
+    around = layout.with_rows_around(RING)
     moved = _shifted(pose, -RING, -RING / layout.cell_aspect)
     levels, background = _brightness(image, around, moved)
     inside = (slice(RING, -RING), slice(RING, -RING))
@@ -239,9 +239,9 @@ def _has_finer_grid(
 
     One way alone they may be busbars.
     """
-    finer = ModuleLayout(2 * layout.rows, 2 * layout.cols, layout.cell_aspect)
+    finer = layout.halved()
     halved = Pose(pose.camera, pose.homography @ np.diag([0.5, 0.5, 1.0]))
-    edges = cell_edges(finer)
+    edges = _with_gaps_of(layout, cell_edges(finer))
     offsets = measure_edges(image, edges, halved, SEARCH_UNITS)
     with np.errstate(invalid="ignore"):
         in_place = np.abs(offsets_px(edges, offsets, halved)) < IN_PLACE_PX
@@ -253,6 +253,18 @@ def _has_finer_grid(
             (in_place[upright:].reshape(-1, finer.cols).T, np.repeat(lit, 2, axis=1).T),
         )
     )
+
+
+def _with_gaps_of(layout: ModuleLayout, finer: CellEdges) -> CellEdges:
+    """Give those edges of the finer grid that are edges of the grid itself their gaps."""
+    rows, cols = layout.rows, layout.cols
+    gap, own = np.zeros_like(finer.gap), cell_edges(layout).gap
+    upright, own_upright = 2 * rows * (2 * cols + 1), rows * (cols + 1)
+    lines = gap[:upright].reshape(2 * rows, -1)
+    lines[:, ::2] = 2 * np.repeat(own[:own_upright].reshape(rows, -1), 2, axis=0)
+    lines = gap[upright:].reshape(-1, 2 * cols)
+    lines[::2] = 2 * np.repeat(own[own_upright:].reshape(-1, cols), 2, axis=1)
+    return replace(finer, gap=gap)
 
 
 def _halves(lines: Mask, bright: Mask) -> bool:
@@ -282,8 +294,7 @@ def _brightness(
     image: NDArray[np.float32], layout: ModuleLayout, pose: Pose
 ) -> tuple[Array, float]:
     """Mean brightness of the middle of each cell, NaN if unseen, and that of the background."""
-    y = (np.arange(layout.rows)[:, None] + SAMPLES).ravel() / layout.cell_aspect
-    x = (np.arange(layout.cols)[:, None] + SAMPLES).ravel()
+    x, y = layout.places_in_cells(SAMPLES, SAMPLES)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     pixels = np.nan_to_num(pose.project(points), nan=-1e4).astype(np.float32)
     height, width = image.shape

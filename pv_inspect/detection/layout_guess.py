@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
-from pv_inspect.detection.line_scores import FINER, LineScores, line_scores, rectified_module
+from pv_inspect.detection.line_profiles import rectified, unit_corners
+from pv_inspect.detection.line_scores import FINER, LineScores, line_scores
 from pv_inspect.detection.outline import OutlineError, find_outlines, fit_pose
 from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.errors import InspectionError
@@ -202,7 +203,7 @@ def view_of(image: NDArray[np.float32], inside: tuple[float, float] | None) -> V
             continue
         pose, distance = fit_pose(outline, UNIT, image.shape, 0)
         view = scored_view(image, pose)
-        if distance > MAX_DISTANCE * np.sqrt(cv2.contourArea(_corners(pose))):
+        if distance > MAX_DISTANCE * np.sqrt(cv2.contourArea(unit_corners(pose))):
             continue
         if best is None or _strength(view) > _strength(best):
             best = view
@@ -215,21 +216,16 @@ def view_of(image: NDArray[np.float32], inside: tuple[float, float] | None) -> V
     return best
 
 
-def _corners(pose: Pose) -> NDArray[np.float32]:
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    return np.nan_to_num(pose.project(square)).astype(np.float32)
-
-
 def scored_view(image: NDArray[np.float32], pose: Pose) -> View:
     """Score each number of cells on the module seen through a pose of the unit square."""
-    corners = _corners(pose)
+    corners = unit_corners(pose)
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     across_px, down_px = float(sides[[0, 2]].mean()), float(sides[[1, 3]].mean())
     return View(
         image,
         pose,
-        line_scores(rectified_module(image, pose, across_px, True), across_px),
-        line_scores(rectified_module(image, pose, down_px, False), down_px),
+        line_scores(rectified(image, pose, across_px, True), across_px),
+        line_scores(rectified(image, pose, down_px, False), down_px),
         pose.aspect,
     )
 

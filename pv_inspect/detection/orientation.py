@@ -26,8 +26,7 @@ def same_way_up(sequence: FrameSequence, layout: ModuleLayout, found: dict[int, 
     The outline looks the same turned by half a turn; the brightness of the cells does not. Where
     all cells look alike, the turn that continues the frame before decides.
     """
-    square = layout.rows == layout.cols and layout.cell_aspect == 1.0
-    turns = (0, 1, 2, 3) if square else (0, 2)
+    turns = layout.turns
     known: NDArray[np.float32] | None = None
     direction = 0.0
     for index in sorted(found):
@@ -75,8 +74,9 @@ def _coarse_picture(
 ) -> NDArray[np.float32]:
     """Brightness of parts of the cells against their surroundings, standard deviation 1."""
     shape = (SAMPLES_PER_CELL * layout.rows, SAMPLES_PER_CELL * layout.cols)
-    y, x = (np.mgrid[0 : shape[0], 0 : shape[1]] + 0.5) / SAMPLES_PER_CELL
-    points = np.column_stack([x.ravel(), y.ravel() / layout.cell_aspect])
+    inside = (np.arange(SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL
+    x, y = np.meshgrid(*layout.places_in_cells(inside, inside))
+    points = np.column_stack([x.ravel(), y.ravel()])
     pixels = np.nan_to_num(pose.project(points), nan=-1e4).astype(np.float32).reshape(*shape, 2)
     smooth = cv2.GaussianBlur(image, (0, 0), 1.5)
     values = cv2.remap(

@@ -42,6 +42,8 @@ BOW = 0.04
 """How far distortion bends a side off the straight line, in square roots of the area."""
 CLOSINGS_PX = (9, 7, 5, 3)
 """Widths of gaps that are closed when the generous first one does not show the module."""
+WIDER = (2, 4)
+"""At the end gaps are closed that are so many times wider: those of mini-modules."""
 
 
 class OutlineError(Exception):
@@ -77,6 +79,11 @@ class Outline:
     points_px: Array
     corners_px: Array
     cut: bool
+
+    @property
+    def area(self) -> float:
+        """Area of the enclosing quadrilateral, square pixels."""
+        return _area(self.corners_px)
 
     def completed(self) -> Iterator[Outline]:
         """Yield the outline with a corner put back that dead cells took away.
@@ -169,7 +176,8 @@ def find_outlines(
     widest = max(3, min(height, width) // 40) | 1
     cut: list[Outline] = []
     largest, filling = 0.0, False
-    for size in (widest, *(size for size in CLOSINGS_PX if size < widest)):
+    narrower = (size for size in CLOSINGS_PX if size < widest)
+    for size in (widest, *narrower, *(widest * factor | 1 for factor in WIDER)):
         components = _components(_closed(mask, size, widest), wanted, inside is not None)
         for component in components:
             share = float(component.mean())
@@ -224,8 +232,8 @@ def fit_pose(
     float
         Median distance of the contour from the outline, LR pixels.
     """
-    width, height = layout.size
-    target = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    target = layout.outline
+    width, height = target[2] - target[0]
     camera = conventional_camera(shape)
     corners = np.roll(outline.corners_px, -quarter_turns, axis=0)
     normalised = (corners - camera.K[:2, 2]) / camera.K[0, 0]
@@ -233,7 +241,8 @@ def fit_pose(
     points = outline.points_px[:: max(1, len(outline.points_px) // 600)]
     side_px = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     scale = float(side_px.sum() / (2 * (width + height)))
-    centre = np.array([width, height]) / 2
+    centre = target.mean(axis=0)
+    half = np.array([width, height]) / 2
 
     stiffness = 5.0 if distorted else 1e6
     # The plane is centred and scaled so that all parameters are of one order.
@@ -247,7 +256,7 @@ def fit_pose(
 
     def residuals(parameters: Array) -> Array:
         found = pose(parameters).unproject(points)
-        excess = np.abs(found - centre) - centre
+        excess = np.abs(found - centre) - half
         outside = np.maximum(excess, 0)
         # Signed distance of a point from the rectangle, in pixels at the mean scale.
         distance = np.hypot(outside[:, 0], outside[:, 1]) + np.minimum(excess.max(axis=1), 0)

@@ -27,7 +27,7 @@ def split_edges(edges: CellEdges) -> CellEdges:
     """Cut the edges of a single row, column or cell into parts, to be measured one by one.
 
     Where no line has two edges, an edge measured as one says where the line is but not how it is
-    turned, and the pose stays open.
+    turned, and the pose stays open; and four cells have hardly more edges than a pose parameters.
     """
     upright = edges.normal[:, 0] == 1
     # As many different places along each direction as there are rows or columns.
@@ -35,7 +35,7 @@ def split_edges(edges: CellEdges) -> CellEdges:
         len(np.unique(edges.middle[side][:, axis].round(6))) == 1
         for axis, side in ((1, upright), (0, ~upright))
     )
-    if not single:
+    if not single and len(edges.middle) >= MIN_PARTS:
         return edges
     parts = max(PARTS, -(-MIN_PARTS // len(edges.middle)))
     step = ((np.arange(parts) + 0.5) / parts - 0.5) * SPLIT_LENGTH
@@ -46,6 +46,7 @@ def split_edges(edges: CellEdges) -> CellEdges:
         np.repeat(edges.crossings, parts, axis=0),
         np.repeat(edges.inner, parts),
         np.repeat(edges.side, parts),
+        np.repeat(edges.gap, parts),
     )
 
 

@@ -13,7 +13,7 @@ from pv_inspect.detection.single_frame import MAX_ASPECT_RATIO_ERROR, Found, det
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["better_layout", "fits_given", "found_around", "seen_layout"]
+__all__ = ["SURE_SHARE", "better_layout", "fits_given", "found_around", "seen_layout"]
 
 UNIT = ModuleLayout(1, 1)
 MAX_TRIED = 4

@@ -27,12 +27,16 @@ from pv_inspect.geometry.pose import Pose
 __all__ = [
     "MAX_ASPECT_RATIO_ERROR",
     "RUNS_OVER",
+    "SAME_OUTLINE_PX",
     "Found",
     "GridFaultError",
     "TwoModulesError",
     "completed_module",
     "detect_in_frame",
     "find_module",
+    "found_in_outline",
+    "scale_px",
+    "search_units",
 ]
 
 Array = NDArray[np.float64]
@@ -111,12 +115,12 @@ def detect_in_frame(
     edges = cell_edges(layout)
     pose = start
     # In small cells a share of the cell is less than what noise moves a gap by.
-    least, most = MIN_SEARCH_PX / _scale_px(layout, start), MAX_SEARCH_PX / _scale_px(layout, start)
+    least, most = MIN_SEARCH_PX / scale_px(layout, start), MAX_SEARCH_PX / scale_px(layout, start)
     parts = split_edges(edges)
     for search in SEARCH_UNITS:
         reach = min(max(search, least), most)
         pose = refined_pose(pose, parts, measure_edges(image, parts, pose, reach))
-    offsets = measure_edges(image, edges, pose, min(max(SEARCH_UNITS[-1], least), most))
+    offsets = measure_edges(image, edges, pose, search_units(layout, pose))
     bright = _between_bright_cells(image, layout, pose)
     share = _share_in_place(edges, offsets, pose, bright)
     if share < MIN_EDGE_SHARE:
@@ -169,7 +173,7 @@ def find_module(
     reason: OutlineError | None = None
     for outline in _complete_outlines(image, inside):
         try:
-            found = _fitted(image, layout, outline)
+            found = found_in_outline(image, layout, outline)
         except OutlineError as error:
             reason = reason or error
             continue
@@ -191,7 +195,7 @@ def completed_module(
         for outline in _complete_outlines(image, inside, apart_px=0.0):
             for whole in outline.completed():
                 with contextlib.suppress(OutlineError):
-                    return _fitted(image, layout, whole)
+                    return found_in_outline(image, layout, whole)
     raise OutlineError("no module with a corner missing")
 
 
@@ -220,8 +224,11 @@ def _complete_outlines(
         raise OutlineError(RUNS_OVER if cut else "no module")
 
 
-def _fitted(image: NDArray[np.float32], layout: ModuleLayout, outline: Outline) -> Found:
-    """Find the crossing points within one outline, with lens distortion and else without."""
+def found_in_outline(image: NDArray[np.float32], layout: ModuleLayout, outline: Outline) -> Found:
+    """Find the crossing points within one outline, with lens distortion and else without.
+
+    Parameters and errors are those of `find_module`.
+    """
     first: OutlineError | None = None
     fits: list[Found] = []
     for distorted in (True, False):
@@ -254,7 +261,7 @@ def _refuse_a_second(image: NDArray[np.float32], layout: ModuleLayout, found: Fo
         if outline.cut or away > EQUAL_STANDING:
             continue
         try:
-            _fitted(image, layout, outline)
+            found_in_outline(image, layout, outline)
         except OutlineError:
             continue
         raise TwoModulesError(
@@ -291,7 +298,13 @@ def _starts(
     return [starts[k] for k in order if errors[k] <= np.log(MAX_ASPECT_RATIO_ERROR)]
 
 
-def _scale_px(layout: ModuleLayout, pose: Pose) -> float:
+def search_units(layout: ModuleLayout, pose: Pose) -> float:
+    """Half width of the last search across a gap, module units."""
+    scale = scale_px(layout, pose)
+    return min(max(SEARCH_UNITS[-1], MIN_SEARCH_PX / scale), MAX_SEARCH_PX / scale)
+
+
+def scale_px(layout: ModuleLayout, pose: Pose) -> float:
     """LR pixels per module unit in the middle of the module."""
     middle = np.array([layout.size]) / 2
     jacobian = pose.camera.jacobian(pose.homography, middle)[0]

@@ -99,10 +99,12 @@ class HrGrid:
 
     def cell_slices(self, row: int, col: int) -> tuple[slice, slice]:
         """[row, col] slices of the pixels of one cell; all cells have the same size."""
+        layout, scale = self.layout, self.pixels_per_unit
         px, py = self.pixels_per_cell
-        w, h = round(px), round(py)
-        x0 = round(self.origin_px[0] + 0.5 + col * px)
-        y0 = round(self.origin_px[1] + 0.5 + row * py)
+        gap_x, gap_y = (scale * gap for gap in layout.cell_gap)
+        w, h = round(px - gap_x), round(py - gap_y)
+        x0 = round(self.origin_px[0] + 0.5 + scale * float(layout.col_starts[col]) + gap_x / 2)
+        y0 = round(self.origin_px[1] + 0.5 + scale * float(layout.row_starts[row]) + gap_y / 2)
         return slice(y0, y0 + h), slice(x0, x0 + w)
 
     def window(self, rows: slice, cols: slice) -> HrGrid:

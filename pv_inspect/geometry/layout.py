@@ -1,24 +1,30 @@
-"""The module plane: how many cells, where their crossing points lie, and the HR grid on it."""
+"""The module plane: how many cells, where they and their crossing points lie."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.gap_text import WideGaps
 from pv_inspect.errors import InspectionError
 
 __all__ = ["ModuleLayout"]
 
 Points = NDArray[np.float64]
+MAX_GAP = 2.0
+"""Widest extra gap, module units: two cells."""
+MAX_CELL_GAP = 0.5
 
 
 @dataclass(frozen=True)
 class ModuleLayout:
     """Cells of a module in the module plane.
 
-    The unit of the plane is the pitch of one cell width, the same in x and y.
+    The unit of the plane is the pitch of one cell width, the same in x and y. A crossing point is
+    the middle of the gap between four cells; at the outer ones the module ends half a usual gap
+    beside the cells.
 
     Parameters
     ----------
@@ -26,11 +32,21 @@ class ModuleLayout:
         Number of cells along y and x.
     cell_aspect : float
         Cell width / cell height (2 for half-cut cells lying flat).
+    row_gaps, col_gaps : tuple of (int, float)
+        Gaps that are wider than the usual ones, in the middle of a half-cut module for example:
+        (3, 0.1) is one below the third row (or right of the third column) that is wider by 0.1
+        module units.
+    cell_gap : tuple of float
+        Width and height of the dark gap between all cells, module units, as far as the pitch
+        leaves cells that are clearly smaller (mini-modules): 0 for the usual 1 to 3 mm.
     """
 
     rows: int
     cols: int
     cell_aspect: float = 1.0
+    row_gaps: WideGaps = ()
+    col_gaps: WideGaps = ()
+    cell_gap: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.rows < 1 or self.cols < 1:
@@ -43,11 +59,56 @@ class ModuleLayout:
                 f"cell_aspect is {self.cell_aspect:g}, but cell width / cell height must lie "
                 "between 0.1 and 10."
             )
+        for what, gaps, cells in (
+            ("row", self.row_gaps, self.rows),
+            ("column", self.col_gaps, self.cols),
+        ):
+            _check_gaps(what, gaps, cells)
+        largest = MAX_CELL_GAP * np.array([1.0, 1.0 / self.cell_aspect])
+        if not all(0 <= gap <= most for gap, most in zip(self.cell_gap, largest, strict=True)):
+            raise InspectionError(
+                f"cell_gap is {self.cell_gap[0]:g} x {self.cell_gap[1]:g} cell widths, but the gap "
+                "between all cells must lie between 0 and half of a cell."
+            )
+
+    @property
+    def plain(self) -> ModuleLayout:
+        """The same rows and columns without any wide gap."""
+        return replace(self, row_gaps=(), col_gaps=(), cell_gap=(0.0, 0.0))
+
+    @property
+    def col_starts(self) -> NDArray[np.float64]:
+        """Where the pitch of each column begins, (cols,) module units."""
+        return np.arange(self.cols) + _before(self.col_gaps, self.cols)
+
+    @property
+    def row_starts(self) -> NDArray[np.float64]:
+        """Where the pitch of each row begins, (rows,) module units."""
+        return np.arange(self.rows) / self.cell_aspect + _before(self.row_gaps, self.rows)
+
+    @property
+    def col_lines(self) -> NDArray[np.float64]:
+        """X of the lines of crossing points, (cols + 1,) module units."""
+        return np.arange(self.cols + 1) + _lines(self.col_gaps, self.cols)
+
+    @property
+    def row_lines(self) -> NDArray[np.float64]:
+        """Y of the lines of crossing points, (rows + 1,) module units."""
+        return np.arange(self.rows + 1) / self.cell_aspect + _lines(self.row_gaps, self.rows)
 
     @property
     def size(self) -> tuple[float, float]:
         """Width and height of the module in module units."""
-        return float(self.cols), self.rows / self.cell_aspect
+        wide = (sum(gap for _, gap in gaps) for gaps in (self.col_gaps, self.row_gaps))
+        extra_x, extra_y = wide
+        return float(self.cols) + extra_x, self.rows / self.cell_aspect + extra_y
+
+    @property
+    def outline(self) -> Points:
+        """Corners of the area of the cells, (4, 2) module units, clockwise from the top left."""
+        (width, height), (gap_x, gap_y) = self.size, self.cell_gap
+        left, top, right, bottom = gap_x / 2, gap_y / 2, width - gap_x / 2, height - gap_y / 2
+        return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
     @property
     def n_crossings(self) -> int:
@@ -60,7 +121,134 @@ class ModuleLayout:
         Returns
         -------
         (n_crossings, 2) float64
-            (x, y), row-major: crossing (row i, column j) lies at (j, i / cell_aspect).
+            (x, y), row-major: without wide gaps, crossing (row i, column j) lies at
+            (j, i / cell_aspect).
         """
-        i, j = np.divmod(np.arange(self.n_crossings), self.cols + 1)
-        return np.column_stack([j, i / self.cell_aspect]).astype(np.float64)
+        x, y = np.meshgrid(self.col_lines, self.row_lines)
+        return np.column_stack([x.ravel(), y.ravel()])
+
+    def places_in_cells(self, across: Points, down: Points) -> tuple[Points, Points]:
+        """Places that lie alike in the pitch of every cell.
+
+        Parameters
+        ----------
+        across, down : (nx,), (ny,) float64
+            Shares of the pitch from its left and its top, 0 to 1.
+
+        Returns
+        -------
+        x : (cols * nx,) float64
+        y : (rows * ny,) float64
+            Module units, cell by cell.
+        """
+        x = (self.col_starts[:, None] + across).ravel()
+        y = (self.row_starts[:, None] + down / self.cell_aspect).ravel()
+        return x, y
+
+    def cell_centres(self) -> Points:
+        """Middles of all cells in the module plane, (rows * cols, 2), row-major."""
+        x, y = np.meshgrid(*self.places_in_cells(np.array([0.5]), np.array([0.5])))
+        return np.column_stack([x.ravel(), y.ravel()])
+
+    def cell_corners(self, row: int, col: int) -> Points:
+        """Corners of one cell in the module plane, (4, 2), clockwise from the top left."""
+        gap_x, gap_y = self.cell_gap
+        left, top = self.col_starts[col] + gap_x / 2, self.row_starts[row] + gap_y / 2
+        right, bottom = left + 1 - gap_x, top + 1 / self.cell_aspect - gap_y
+        return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+
+    def cell_at(self, x: float, y: float) -> tuple[int, int] | None:
+        """Row and column of the cell in whose pitch a point lies, if any."""
+        col = int(np.searchsorted(self.col_starts, x, side="right")) - 1
+        row = int(np.searchsorted(self.row_starts, y, side="right")) - 1
+        if row < 0 or col < 0:
+            return None
+        inside = x - self.col_starts[col] <= 1 and y - self.row_starts[row] <= 1 / self.cell_aspect
+        return (row, col) if inside else None
+
+    def grid_lines(self, per_cell: int) -> list[Points]:
+        """Lines through the crossing points, along x first, as points (n, 2) some per cell."""
+        width, height = self.size
+        across = np.linspace(0.0, width, self.cols * per_cell + 1)
+        down = np.linspace(0.0, height, self.rows * per_cell + 1)
+        lines = [np.column_stack([across, np.full_like(across, y)]) for y in self.row_lines]
+        lines += [np.column_stack([np.full_like(down, x), down]) for x in self.col_lines]
+        return lines
+
+    @property
+    def gaps_in_words(self) -> str:
+        """What is said of wide gaps, as part of a sentence; "" if there are none."""
+        words = [
+            f"{gap:.3g} after {what} {after}"
+            for what, gaps in (("row", self.row_gaps), ("column", self.col_gaps))
+            for after, gap in gaps
+        ]
+        gap_x, gap_y = self.cell_gap
+        if gap_x or gap_y:
+            words.append(f"{gap_x:.3g} x {gap_y:.3g} between all cells")
+        return " and ".join(words)
+
+    def with_rows_around(self, n: int) -> ModuleLayout:
+        """Return the layout with n more rows and columns on every side."""
+        return replace(
+            self,
+            rows=self.rows + 2 * n,
+            cols=self.cols + 2 * n,
+            row_gaps=tuple((after + n, gap) for after, gap in self.row_gaps),
+            col_gaps=tuple((after + n, gap) for after, gap in self.col_gaps),
+        )
+
+    def halved(self) -> ModuleLayout:
+        """Return the layout with every cell cut in four; its unit is half of this one's."""
+        return ModuleLayout(
+            2 * self.rows,
+            2 * self.cols,
+            self.cell_aspect,
+            tuple((2 * after, 2 * gap) for after, gap in self.row_gaps),
+            tuple((2 * after, 2 * gap) for after, gap in self.col_gaps),
+        )
+
+    @property
+    def turns(self) -> tuple[int, ...]:
+        """Quarter turns that bring the crossing points onto each other."""
+        halfway = all(
+            np.allclose(lines, lines[-1] - lines[::-1], atol=1e-3)
+            for lines in (self.col_lines, self.row_lines)
+        )
+        square = self.rows == self.cols and self.cell_aspect == 1.0
+        alike = square and np.allclose(self.col_lines, self.row_lines, atol=1e-3)
+        if halfway and alike:
+            return (0, 1, 2, 3)
+        return (0, 2) if halfway else (0,)
+
+
+def _check_gaps(what: str, gaps: WideGaps, cells: int) -> None:
+    numbers = [after for after, _ in gaps]
+    if numbers != sorted(set(numbers)) or not all(1 <= after < cells for after in numbers):
+        raise InspectionError(
+            f"The wider gaps after {what}s {', '.join(map(str, numbers))} don't fit {cells} "
+            f"{what}s: give each {what} once, in order, from 1 to {cells - 1}."
+        )
+    for after, gap in gaps:
+        if not 0 < gap <= MAX_GAP:
+            raise InspectionError(
+                f"The gap after {what} {after} is wider by {gap:g} cell widths, but a value above "
+                f"0 and up to {MAX_GAP:g} is expected."
+            )
+
+
+def _before(gaps: WideGaps, cells: int) -> NDArray[np.float64]:
+    """Sum of the wide gaps before each of the cells."""
+    extra = np.zeros(cells)
+    for after, gap in gaps:
+        extra[after:] += gap
+    return extra
+
+
+def _lines(gaps: WideGaps, cells: int) -> NDArray[np.float64]:
+    """How far the wide gaps move each of the cells + 1 lines: a line lies in the middle of one."""
+    extra = np.zeros(cells + 1)
+    for after, gap in gaps:
+        extra[after] += gap / 2
+        extra[after + 1 :] += gap
+    return extra

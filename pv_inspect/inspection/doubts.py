@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pv_inspect.common.gap_text import gap_text
 from pv_inspect.cracks import CrackMap
 from pv_inspect.detection.orientation import runs_down
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.inspection.figures import known_median
 from pv_inspect.inspection.inspection import Inspection
@@ -76,6 +78,8 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
             f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "
             f"aspect {layout.cell_aspect:g} guessed, please confirm."
         )
+    if inspection.gaps_found:
+        found.append(_seen_gaps(layout))
     if used == 1:
         total = len(registration.used)
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
@@ -92,6 +96,21 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         )
     found += [sentence for sentence in (_over_fit(inspection), _unfinished(inspection)) if sentence]
     return (*found, *(not_used_sentence(*frame) for frame in left_out(inspection)))
+
+
+def _seen_gaps(layout: ModuleLayout) -> str:
+    """Say which gaps were found in the frames, and how to give them."""
+    options = [
+        f"{option} {gap_text(gaps)}"
+        for option, gaps in (("--row-gaps", layout.row_gaps), ("--col-gaps", layout.col_gaps))
+        if gaps
+    ]
+    if any(layout.cell_gap):
+        options.append(f"--cell-gap {layout.cell_gap[0]:.3g}")
+    return (
+        f"The frames show gaps wider than usual, in cell widths: {layout.gaps_in_words}; please "
+        f"confirm them ({' '.join(options)})."
+    )
 
 
 def left_out(inspection: Inspection) -> tuple[tuple[str, str], ...]:

@@ -73,6 +73,8 @@ class Inspection:
         What a user should know about the result, one sentence each.
     layout_guessed : bool
         Whether rows and columns were guessed from the frames because nobody gave them.
+    gaps_found : bool
+        Whether the wide gaps of the layout were seen in the frames; nobody gave them.
     doubts : tuple of str
         Why the result must not be relied on, one sentence each; empty if there is no doubt.
     stored : StoredResult or None
@@ -93,6 +95,7 @@ class Inspection:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     layout_guessed: bool = False
+    gaps_found: bool = False
     doubts: tuple[str, ...] = ()
     stored: StoredResult | None = None
 

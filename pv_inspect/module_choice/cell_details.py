@@ -149,11 +149,10 @@ def _samples(cell_px: float) -> int:
 def _points(layout: ModuleLayout, ny: int, nx: int) -> Array:
     """Module points (rows, ny, cols, nx, 2) of all samples."""
 
-    def along(cells: int, n: int) -> Array:
-        inside = INNER[0] + (INNER[1] - INNER[0]) * (np.arange(n) + 0.5) / n
-        return np.asarray(np.arange(cells)[:, None] + inside).ravel()
+    def inside(n: int) -> Array:
+        return np.asarray(INNER[0] + (INNER[1] - INNER[0]) * (np.arange(n) + 0.5) / n)
 
-    x, y = np.meshgrid(along(layout.cols, nx), along(layout.rows, ny) / layout.cell_aspect)
+    x, y = np.meshgrid(*layout.places_in_cells(inside(nx), inside(ny)))
     return np.stack([x, y], axis=-1).reshape(layout.rows, ny, layout.cols, nx, 2)
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.calibration.calibrate import Calibration
-from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.module_choice.cell_details import CellDetails, cell_details
 from pv_inspect.module_choice.detail_agreement import Pairs, compare_details
 from pv_inspect.sequence.sequence import FrameSequence
@@ -118,7 +117,7 @@ def group_frames(
     """
     layout = calibration.layout
     details = cell_details(sequence, calibration, frames)
-    turns = _possible_turns(layout)
+    turns = layout.turns
     found = _Clusters(compare_details(details, turns), turns).result(frames)
     return _with_shifted_grids(found, dict(zip(frames, details, strict=True)), turns)
 
@@ -175,11 +174,6 @@ def _move_between(
         if agreement[best] > max(SAME_MODULE, SURE_TURN * error):
             return Placement(turns[best], rows, cols)
     return None
-
-
-def _possible_turns(layout: ModuleLayout) -> tuple[int, ...]:
-    square = layout.rows == layout.cols and layout.cell_aspect == 1.0
-    return (0, 1, 2, 3) if square else (0, 2)
 
 
 class _Clusters:

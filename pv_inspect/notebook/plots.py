@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.figures import REGISTRATION_RESIDUAL, RESIDUAL
 from pv_inspect.reports.pictures import contrast_of, crack_mask, crack_overlay
 from pv_inspect.settings import Stage
@@ -137,19 +136,19 @@ def cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
         marks = crack_mask(cracks, grid)
         ax.imshow(crack_overlay(cracks.probability, marks, max(marks.shape)), extent=extent)
         for cell in cracks.cells:
-            corner = (cell.col, cell.row / layout.cell_aspect)
+            corner = layout.cell_corners(cell.row, cell.col)
             if cell.crack_suspected:
-                _box(ax, corner, layout, f"{cell.crack_class} {cell.crack_length_cells:.2f}")
+                _box(ax, corner, f"{cell.crack_class} {cell.crack_length_cells:.2f}")
             elif cell.undecidable:
-                _box(ax, corner, layout, "?", UNDECIDABLE)
+                _box(ax, corner, "?", UNDECIDABLE)
         title = cracks.counts.text
         if cracks.counts.suspected:
             title += "\nclass, and length of its cracks in cell widths"
         if cracks.counts.undecidable:
             title += "\n?: can't be judged"
-    ax.set_xticks(np.arange(layout.cols) + 0.5, [str(j + 1) for j in range(layout.cols)])
+    ax.set_xticks(layout.col_starts + 0.5, [str(j + 1) for j in range(layout.cols)])
     ax.set_yticks(
-        (np.arange(layout.rows) + 0.5) / layout.cell_aspect,
+        layout.row_starts + 0.5 / layout.cell_aspect,
         [str(i + 1) for i in range(layout.rows)],
     )
     ax.set(xlim=(left, right), ylim=(bottom, top), title=title)
@@ -243,11 +242,7 @@ def _show_frame(ax: Axes, inspection: Inspection, index: int) -> None:
 def _borders(poses: Registration | Calibration, index: int) -> list[NDArray[np.float64]]:
     """Borders of the cells in a frame: (n, 2) LR pixels each."""
     layout = poses.layout
-    width, height = layout.size
-    across = np.linspace(0.0, width, layout.cols * _STEPS_PER_CELL + 1)
-    down = np.linspace(0.0, height, layout.rows * _STEPS_PER_CELL + 1)
-    lines = [np.column_stack([across, np.full_like(across, y)]) for y in down[::_STEPS_PER_CELL]]
-    lines += [np.column_stack([np.full_like(down, x), down]) for x in across[::_STEPS_PER_CELL]]
+    lines = layout.grid_lines(_STEPS_PER_CELL)
     return [poses.camera.project(poses.homographies[index], line) for line in lines]
 
 
@@ -256,13 +251,14 @@ def _dots(ax: Axes, points: NDArray[np.float64], colour: str, label: str) -> Non
         ax.plot(*points.T, "o", color=colour, markersize=3.5, markeredgewidth=0, label=label)
 
 
-def _box(
-    ax: Axes, corner: tuple[float, float], layout: ModuleLayout, text: str, colour: str = GRID
-) -> None:
+def _box(ax: Axes, corners: NDArray[np.float64], text: str, colour: str = GRID) -> None:
     """Outline a cell and write into its upper left corner."""
-    x, y = corner
-    inset, size = 0.03, (0.94, 1 / layout.cell_aspect - 0.06)
-    ax.add_patch(Rectangle((x + inset, y + inset), *size, fill=False, edgecolor=colour, lw=1.2))
+    x, y = corners[0]
+    inset = 0.03
+    width, height = corners[2] - corners[0] - 2 * inset
+    ax.add_patch(
+        Rectangle((x + inset, y + inset), width, height, fill=False, edgecolor=colour, lw=1.2)
+    )
     ax.text(
         x + 0.06,
         y + 0.06,

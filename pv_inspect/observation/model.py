@@ -69,9 +69,7 @@ class ObservationModel:
         """
         variance = footprint_variance_lr_px2(psf_sigma_lr_px)
         # d HR / d LR at the cell centres of all frames.
-        layout = grid.layout
-        i, j = np.mgrid[: layout.rows, : layout.cols] + 0.5
-        centres = np.column_stack([j.ravel(), i.ravel() / layout.cell_aspect])
+        centres = grid.layout.cell_centres()
         every = np.concatenate([camera.jacobian(H, centres) for H in homographies])
         per_unit = every[np.isfinite(every).all((1, 2))]
         footprints = grid.pixels_per_unit * np.linalg.inv(per_unit)

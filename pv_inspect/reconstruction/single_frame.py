@@ -79,9 +79,7 @@ def best_frame(
     int or None
         None if no frame in use shows all of the cell.
     """
-    row, col = cell
-    corners = np.array([[col, row], [col + 1, row], [col + 1, row + 1], [col, row + 1]], float)
-    corners[:, 1] /= registration.layout.cell_aspect
+    corners = registration.layout.cell_corners(*cell)
     height, width = shape
     scores = {}
     for i in np.flatnonzero(registration.used):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pv_inspect.calibration.focal_length import focal_length_source
+from pv_inspect.common.gap_text import gap_text
 from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, CrackMap, look_at_first, state_of
 from pv_inspect.cracks.wording import CLASS_WORDS, SUPPORT_RULE, class_text, length_text, tooltip
@@ -210,10 +211,15 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         else ("from module.json" if name in hint else "by default")
         for name in ("rows", "cols", "cell_aspect")
     }
+    seen = "seen in the frames" if inspection.gaps_found else "by default"
+    gaps = f", {'from module.json' if hint.keys() & {'row_gaps', 'col_gaps', 'cell_gap'} else seen}"
     found = {
         "rows": f"{layout.rows}, {source['rows']}",
         "cols": f"{layout.cols}, {source['cols']}",
         "cell_aspect": f"{layout.cell_aspect:g}, {source['cell_aspect']}",
+        "row_gaps": gap_text(layout.row_gaps) + gaps,
+        "col_gaps": gap_text(layout.col_gaps) + gaps,
+        "cell_gap": f"{layout.cell_gap[0]:.3g}{gaps}",
         "dark_frame": "none",
         "flat_frame": "none",
         "kappa": f"{used.kappa:+.4f}, fitted",

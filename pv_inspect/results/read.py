@@ -118,6 +118,7 @@ def _read_result(folder: Path) -> Inspection:
         seconds={stage: t for stage, t in record.seconds.items() if stage != "total"},
         warnings=tuple(record.warnings),
         layout_guessed=record.layout_guessed,
+        gaps_found=record.gaps_found,
         doubts=tuple(record.doubts),
         # With what an earlier version did not say.
         stored=StoredResult(folder, content),

@@ -47,7 +47,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         **reconstruction.grid.to_dict(),
         "rows": layout.rows,
         "cols": layout.cols,
-        "layout": {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect},
+        "layout": asdict(layout),
         "camera": {
             "K": registration.camera.K,
             "kappa": registration.camera.kappa,
@@ -67,6 +67,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "lambda_curve": reconstruction.lambda_curve,
         "vignetting": None if photometry is None else vars(photometry.vignetting),
         "layout_guessed": inspection.layout_guessed,
+        "gaps_found": inspection.gaps_found,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
         "crack_least_extent_cells": cracks.least_extent_cells,

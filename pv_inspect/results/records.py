@@ -35,12 +35,19 @@ _Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 _Above0 = Annotated[float, Field(strict=True, gt=0, le=1e5)]
 
 
+_GapWidth = Annotated[float, Field(strict=True, ge=0, le=10)]
+_Gap = tuple[_Cells, _GapWidth]
+
+
 class LayoutRecord(Record):
-    """Rows and columns of cells."""
+    """Rows and columns of cells; see `pv_inspect.geometry.layout.ModuleLayout`."""
 
     rows: _Cells
     cols: _Cells
     cell_aspect: Annotated[float, Field(strict=True, ge=0.1, le=10)]
+    row_gaps: tuple[_Gap, ...] = ()
+    col_gaps: tuple[_Gap, ...] = ()
+    cell_gap: tuple[_GapWidth, _GapWidth] = (0.0, 0.0)
 
     @property
     def n_crossings(self) -> int:
@@ -161,6 +168,7 @@ class ResultRecord(StoredRecord):
     lambda_curve: tuple[_OpenPair, ...] = ()
     vignetting: VignettingRecord | None = None
     layout_guessed: bool = False
+    gaps_found: bool = False
     seconds: dict[str, Number]
     warnings: list[Text]
     doubts: tuple[Text, ...] = ()

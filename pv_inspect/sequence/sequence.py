@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.gap_text import NO_GAPS, WideGaps, gaps_from
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.limits import ReadLimits
@@ -46,6 +47,9 @@ _SAMPLE_FRAMES = 24
 _SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
 _CACHED_FRAMES, _LAST_FRAMES = 64, 8
 _CACHED_BYTES = 128 * 2**20
+
+_SHAPE = ("rows", "cols", "cell_aspect")
+_GAPS = ("row_gaps", "col_gaps", "cell_gap")
 
 
 def cached_frames(n_frames: int, shape: tuple[int, int]) -> int:
@@ -106,7 +110,7 @@ class FrameSequence:
         subtracts it together with the fixed offsets of the columns (or the dark frame pixel by
         pixel).
     layout_hint : dict
-        What ``module.json`` says of "rows", "cols", "cell_aspect"; empty if there is none.
+        What ``module.json`` says of rows, cols, cell_aspect and gaps; empty if there is none.
     source : Path
         What was opened; the folder of the first one for a list of files.
     noise : NoiseModel
@@ -317,7 +321,7 @@ class FrameSequence:
             If neither says how many rows and columns of cells the module has.
         """
         known = dict(self.layout_hint)
-        for key in ("rows", "cols", "cell_aspect"):
+        for key in (*_SHAPE, *_GAPS):
             if getattr(settings, key) is not None:
                 known[key] = getattr(settings, key)
         missing = [key for key in ("rows", "cols") if key not in known]
@@ -327,7 +331,26 @@ class FrameSequence:
                 f"give {' and '.join('--' + key for key in missing)}, or put a module.json with "
                 "rows and cols beside the frames."
             )
-        return ModuleLayout(known["rows"], known["cols"], float(known.get("cell_aspect", 1.0)))
+        gap = float(known.get("cell_gap", 0.0))
+        return ModuleLayout(
+            known["rows"],
+            known["cols"],
+            float(known.get("cell_aspect", 1.0)),
+            _wide_gaps("row_gaps", known, settings),
+            _wide_gaps("col_gaps", known, settings),
+            (gap, gap),
+        )
+
+    def says_gaps(self, settings: Settings) -> bool:
+        """Whether the settings or ``module.json`` say which gaps are wide, or that none is."""
+        return any(getattr(settings, key) is not None or key in self.layout_hint for key in _GAPS)
+
+
+def _wide_gaps(key: str, known: dict[str, Any], settings: Settings) -> WideGaps:
+    try:
+        return gaps_from(str(known.get(key, NO_GAPS)), settings.cell_width_mm)
+    except ValueError as error:
+        raise InspectionError(f"{key}: {error}.") from None
 
 
 def open_sequence(

@@ -1,4 +1,4 @@
-"""``module.json``, the note on the module beside its frames: rows, cols, cell_aspect."""
+"""``module.json``, the note on the module beside its frames: rows, cols, aspect, gaps."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from pv_inspect.common.gap_text import checked_gaps
 from pv_inspect.common.records import json_from, read_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.problems import ImageFileError
@@ -30,8 +31,8 @@ def read_sidecar(root: Path, paths: list[Path]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Those of "rows", "cols" (int) and "cell_aspect" (float) that are given; empty without a
-        file.
+        Those of "rows", "cols" (int), "cell_aspect", "cell_gap" (float), "row_gaps" and "col_gaps"
+        (str, see `pv_inspect.common.gap_text`) that are given; empty without a file.
 
     Raises
     ------
@@ -89,7 +90,31 @@ def _parse_sidecar(path: Path) -> dict[str, Any]:
                 "0.1 and 10 is expected: correct it."
             )
         hint["cell_aspect"] = float(aspect)
+    gap = content.get("cell_gap")
+    if gap is not None:
+        number = isinstance(gap, (int, float)) and not isinstance(gap, bool)
+        if not (number and 0 <= gap <= 0.5):
+            raise InspectionError(
+                f"{path}: cell_gap is {_shown(gap)}, but the width of the gap between all cells is "
+                "expected, 0 to 0.5 cell widths: correct it."
+            )
+        hint["cell_gap"] = float(gap)
+    for key in ("row_gaps", "col_gaps"):
+        if content.get(key) is not None:
+            hint[key] = _gaps(path, key, content[key])
     return hint
+
+
+def _gaps(path: Path, key: str, value: object) -> str:
+    """Wide gaps, written "10:0.1" or {"10": 0.1}."""
+    if isinstance(value, dict):
+        value = ", ".join(f"{after}:{width}" for after, width in value.items())
+    try:
+        if not isinstance(value, str):
+            raise ValueError(f'{_shown(value)} is no list of gaps: write it like {{"10": 0.1}}')
+        return checked_gaps(value)
+    except ValueError as error:
+        raise InspectionError(f"{path}: {key}: {error}.") from None
 
 
 def _shown(value: object) -> str:

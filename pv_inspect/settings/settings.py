@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, ValidationError
 
+from pv_inspect.common.gap_text import checked_gaps
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
@@ -21,7 +23,14 @@ __all__ = ["Settings"]
 
 _IMAGES = f"Images ({PATTERNS})"
 
+_module = partial(Declaration, Stage.DETECT, Group.MODULE)
+_reading = partial(Declaration, Stage.LOAD, Group.FRAMES)
+_lens = partial(Declaration, Stage.CALIBRATE, Group.LENS)
+_choosing = partial(Declaration, Stage.REGISTER, Group.FRAMES)
+_image = partial(Declaration, Stage.RECONSTRUCT, Group.IMAGE)
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+GapText = Annotated[str, AfterValidator(checked_gaps)]
 Pixel = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 
 
@@ -36,57 +45,71 @@ class Settings(DeclaredModel):
 
     rows: int | None = tunable(
         None,
-        Declaration(Stage.DETECT, Group.MODULE, "rows", "cells", automatic="?"),
+        _module("rows", "cells", automatic="?"),
         "Rows of cells; taken from module.json if not given.",
         ge=1,
         le=200,
     )
     cols: int | None = tunable(
         None,
-        Declaration(Stage.DETECT, Group.MODULE, "columns", "cells", automatic="?"),
+        _module("columns", "cells", automatic="?"),
         "Columns of cells; taken from module.json if not given.",
         ge=1,
         le=200,
     )
     cell_aspect: Finite | None = tunable(
         None,
-        Declaration(Stage.DETECT, Group.MODULE, "aspect", decimals=3, automatic="auto"),
+        _module("aspect", decimals=3, automatic="auto"),
         "Cell width / cell height; from module.json if not given, else 1.",
         ge=0.1,
         le=10,
     )
+    row_gaps: GapText | None = tunable(
+        None,
+        _module("wide row gaps", "cell widths", automatic="as seen", advanced=True),
+        "Gaps between rows that are wider than the others, as AFTER:WIDTH: 6:0.1 is one below the "
+        "sixth row that is wider by a tenth of a cell's width, 6:16mm one by 16 mm (with "
+        "cell_width_mm); several with commas, or none. Found in the frames if no gap is given.",
+    )
+    col_gaps: GapText | None = tunable(
+        None,
+        _module("wide column gaps", "cell widths", automatic="as seen", advanced=True),
+        "Gaps between columns that are wider than the others, written as row_gaps.",
+    )
+    cell_gap: Finite | None = tunable(
+        None,
+        _module("cell gap", "cell widths", decimals=3, automatic="as seen", advanced=True),
+        "Width of the gap between all cells where it is a good part of a cell, as in mini-modules; "
+        "0 for the usual few millimetres. Found in the frames if no gap is given.",
+        ge=0,
+        le=0.5,
+    )
     module_at: tuple[Pixel, Pixel] | None = tunable(
         None,
-        Declaration(
-            Stage.DETECT, Group.MODULE, "point inside", "LR px", automatic="centre", advanced=True
-        ),
+        _module("point inside", "LR px", automatic="centre", advanced=True),
         "x and y of a point inside of the wanted module in the first frame; the completely "
         "visible module nearest to the centre if not given.",
     )
     dark_frame: Path | None = tunable(
         None,
-        Declaration(
-            Stage.LOAD, Group.FRAMES, "dark frame", "file", automatic="none", files=_IMAGES
-        ),
+        _reading("dark frame", "file", automatic="none", files=_IMAGES),
         "Image taken without current, subtracted from every frame "
         "instead of the estimated black level.",
     )
     flat_frame: Path | None = tunable(
         None,
-        Declaration(
-            Stage.LOAD, Group.FRAMES, "flat frame", "file", automatic="none", files=_IMAGES
-        ),
+        _reading("flat frame", "file", automatic="none", files=_IMAGES),
         "Image of an evenly bright surface through the same lens at the same aperture: every frame "
         "is divided by it.",
     )
     series: str | None = tunable(
         None,
-        Declaration(Stage.LOAD, Group.FRAMES, "series", "name", automatic="the only one"),
+        _reading("series", "name", automatic="the only one"),
         "Name or number (from 1) of the pictures that are meant where a file holds several series.",
     )
     max_frame_mpx: Finite = tunable(
         MAX_FRAME_MPX,
-        Declaration(Stage.LOAD, Group.FRAMES, "largest frame", "Mpx", advanced=True),
+        _reading("largest frame", "Mpx", advanced=True),
         "Largest picture that is read; a file that claims more is refused before memory is taken "
         "for it.",
         ge=0.01,
@@ -94,22 +117,14 @@ class Settings(DeclaredModel):
     )
     max_frames: int = tunable(
         MAX_FRAMES,
-        Declaration(Stage.LOAD, Group.FRAMES, "most frames", "frames", advanced=True),
+        _reading("most frames", "frames", advanced=True),
         "Largest number of frames that is read as one sequence.",
         ge=1,
         le=100_000,
     )
     kappa: Finite | None = tunable(
         None,
-        Declaration(
-            Stage.CALIBRATE,
-            Group.LENS,
-            "kappa",
-            slider=(-0.6, 0.6),
-            decimals=4,
-            automatic="fitted",
-            live=True,
-        ),
+        _lens("kappa", slider=(-0.6, 0.6), decimals=4, automatic="fitted", live=True),
         "Radial distortion, r_d = r_u + kappa r_u^3 in normalised coordinates; "
         "fitted if not given.",
         ge=-1,
@@ -117,9 +132,7 @@ class Settings(DeclaredModel):
     )
     focal_length_px: Finite | None = tunable(
         None,
-        Declaration(
-            Stage.CALIBRATE,
-            Group.LENS,
+        _lens(
             "focal length",
             "LR px",
             option=("--focal-length",),
@@ -132,9 +145,7 @@ class Settings(DeclaredModel):
     )
     calibration_file: Path | None = tunable(
         None,
-        Declaration(
-            Stage.CALIBRATE,
-            Group.LENS,
+        _lens(
             "camera file",
             "file",
             option=("--calibration",),
@@ -146,35 +157,21 @@ class Settings(DeclaredModel):
     )
     module_of: str | None = tunable(
         None,
-        Declaration(
-            Stage.REGISTER,
-            Group.FRAMES,
-            "module of frame",
-            "file",
-            automatic="of most frames",
-            advanced=True,
-        ),
+        _choosing("module of frame", "file", automatic="of most frames", advanced=True),
         "Name of a frame that shows the wanted module, where the frames show several; the module "
         "of most frames if not given.",
     )
     keep_frames: tuple[str, ...] = tunable(
         (),
-        Declaration(
-            Stage.REGISTER,
-            Group.FRAMES,
-            "frames kept",
-            "file",
-            option=("--keep-frame",),
-            set_by="ticks in the list of frames",
+        _choosing(
+            "frames kept", "file", option=("--keep-frame",), set_by="ticks in the list of frames"
         ),
         "Names of frames that are used even if they seem to show another module; a copy of another "
         "frame stays a copy.",
     )
     skip_frames: tuple[str, ...] = tunable(
         (),
-        Declaration(
-            Stage.REGISTER,
-            Group.FRAMES,
+        _choosing(
             "frames left out",
             "file",
             option=("--skip-frame",),
@@ -185,9 +182,7 @@ class Settings(DeclaredModel):
     )
     registration_model: Literal["camera", "homography"] = tunable(
         "camera",
-        Declaration(
-            Stage.REGISTER,
-            Group.FRAMES,
+        _choosing(
             "registration",
             choices={
                 "camera": ("Camera and lens", "Every frame against the module image."),
@@ -200,23 +195,14 @@ class Settings(DeclaredModel):
     )
     magnification: Finite = tunable(
         4.0,
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
-            "magnification",
-            option=("-m",),
-            slider=(1.0, 6.0),
-            live=True,
-        ),
+        _image("magnification", option=("-m",), slider=(1.0, 6.0), live=True),
         "LR pixel pitch / HR pixel pitch; 3 and 4 are usual.",
         ge=1,
         le=6,
     )
     prior_weight: Finite | None = tunable(
         None,
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
+        _image(
             "lambda",
             "noise units",
             option=("--lambda",),
@@ -232,9 +218,7 @@ class Settings(DeclaredModel):
     )
     psf_sigma_lr_px: Finite | None = tunable(
         None,
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
+        _image(
             "PSF sigma",
             "LR px",
             option=("--psf-sigma",),
@@ -250,9 +234,7 @@ class Settings(DeclaredModel):
     )
     prior: Literal["sparse_curvature", "btv", "tikhonov"] = tunable(
         "sparse_curvature",
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
+        _image(
             "prior",
             choices={
                 "sparse_curvature": (
@@ -277,9 +259,7 @@ class Settings(DeclaredModel):
     )
     motion_blur: Literal["auto", "none"] = tunable(
         "auto",
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
+        _image(
             "motion blur",
             choices={
                 "auto": ("Undo motion blur", "Estimated for every frame and undone."),
@@ -292,19 +272,13 @@ class Settings(DeclaredModel):
     )
     second_pass: bool = tunable(
         True,
-        Declaration(
-            Stage.RECONSTRUCT,
-            Group.IMAGE,
-            "second pass",
-            option=("--second-pass/--no-second-pass",),
-            advanced=True,
-        ),
+        _image("second pass", option=("--second-pass/--no-second-pass",), advanced=True),
         "Two passes over the frames: against a first module image the sensor's fixed pattern and "
         "vignetting are found and taken out, and pixels that contradict it count for less.",
     )
     max_iterations: int = tunable(
         200,
-        Declaration(Stage.RECONSTRUCT, Group.IMAGE, "most iterations", advanced=True, live=True),
+        _image("most iterations", advanced=True, live=True),
         "Upper limit of solver iterations of the reconstruction; it ends when it has converged.",
         ge=1,
         le=1000,

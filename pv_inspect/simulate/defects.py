@@ -75,7 +75,7 @@ def grow_cracks(
         for col in range(layout.cols):
             if rng.random() >= share:
                 continue
-            origin = np.array([col, row * height])
+            origin = np.array([layout.col_starts[col], layout.row_starts[row]])
             start = origin + rng.uniform(0.12, 0.88, 2) * [1.0, height]
             kind = rng.choice(["line", "cross", "tree"], p=[0.5, 0.25, 0.25])
             # Log-uniform: many faint cracks of some per cent, some strong ones.
@@ -181,7 +181,8 @@ def draw_cracks(
     for crack in cracks:
         points = np.asarray(origin_px) + pixels_per_unit * crack.points
         row, col = crack.home
-        corner = np.asarray(origin_px) + cell * [col, row]
+        start = np.array([layout.col_starts[col], layout.row_starts[row]])
+        corner = np.asarray(origin_px) + pixels_per_unit * start
         low, high = (
             (np.asarray(origin_px), np.asarray(origin_px) + extent)
             if crack.crosses

@@ -41,9 +41,12 @@ def truth_dict(sequence: SimulatedSequence, name: str) -> dict[str, Any]:
         "rows": layout.rows,
         "cols": layout.cols,
         "cell_aspect": layout.cell_aspect,
+        "col_lines": layout.col_lines.tolist(),
+        "row_lines": layout.row_lines.tolist(),
+        "cell_gap": list(layout.cell_gap),
         "image_size": [settings.width, settings.height],
         "plane": "unit = cell-width pitch, x right, y down; crossing (row i, col j) at "
-        "(j, i/cell_aspect)",
+        "(col_lines[j], row_lines[i]), without wide gaps (j, i/cell_aspect)",
         "model": "x_px = K * d(H * [x, y, 1]);  d: r_d = r_u + kappa r_u^3 in normalised "
         "coordinates",
         "K": sequence.camera_matrix.tolist(),

@@ -136,9 +136,9 @@ def _cell_window(
     layout: ModuleLayout, ppu: int, origin: float, row: int, col: int
 ) -> tuple[slice, slice]:
     """Pixels whose centres lie in the pitch of a cell."""
-    pitch = ppu / layout.cell_aspect
-    edges_y = np.ceil(origin + pitch * np.array([row, row + 1])).astype(int)
-    edges_x = np.ceil(origin + ppu * np.array([col, col + 1])).astype(int)
+    x, y = layout.col_starts[col], layout.row_starts[row]
+    edges_y = np.ceil(origin + ppu * np.array([y, y + 1 / layout.cell_aspect])).astype(int)
+    edges_x = np.ceil(origin + ppu * np.array([x, x + 1])).astype(int)
     return slice(*edges_y.tolist()), slice(*edges_x.tolist())
 
 
@@ -193,10 +193,12 @@ def _cell_outline(
     """
     row, col = place
     height = 1.0 / layout.cell_aspect
-    y = (np.arange(window[0].start, window[0].stop) - origin)[:, None] / ppu - row * height
-    x = (np.arange(window[1].start, window[1].stop) - origin)[None, :] / ppu - col
-    left, top = x - _GAP / 2, y - _GAP / 2
-    right, bottom = 1 - _GAP / 2 - x, height - _GAP / 2 - y
+    y = (np.arange(window[0].start, window[0].stop) - origin)[:, None] / ppu
+    x = (np.arange(window[1].start, window[1].stop) - origin)[None, :] / ppu
+    y, x = y - layout.row_starts[row], x - layout.col_starts[col]
+    gap = max(layout.cell_gap[0], _GAP)
+    left, top = x - gap / 2, y - gap / 2
+    right, bottom = 1 - gap / 2 - x, height - gap / 2 - y
     inside = np.minimum(np.minimum(left, right), np.minimum(top, bottom))
     size = 0.05 if wafer == "mono" else 0.008
     halved_y, halved_x = layout.cell_aspect > 1.5, layout.cell_aspect < 0.67
@@ -205,7 +207,7 @@ def _cell_outline(
             if (halved_y and is_top != (row % 2 == 0)) or (halved_x and is_left != (col % 2 == 0)):
                 continue
             inside = np.minimum(inside, (horizontal + vertical - size) / np.sqrt(2))
-    return np.clip(inside * ppu + 0.5, 0, 1).astype(np.float32)
+    return np.asarray(np.clip(inside * ppu + 0.5, 0, 1), np.float32)
 
 
 def _surroundings(light: Image, layout: ModuleLayout, ppu: int, origin: float) -> Image:

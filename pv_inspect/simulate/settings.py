@@ -41,6 +41,15 @@ class SimulationSettings:
     cell_aspect: float = _number(
         1.0, "1", 0.25, 4, "Cell width / cell height; 2 and 0.5 are half-cut cells."
     )
+    row_gap: float = _number(
+        0.0, "cell widths", 0, 2, "How much wider the gap is in the middle of the rows."
+    )
+    col_gap: float = _number(
+        0.0, "cell widths", 0, 2, "How much wider the gap is in the middle of the columns."
+    )
+    cell_gap: float = _number(
+        0.0, "cell widths", 0, 0.4, "Gap between all cells, if not the usual 1 to 3 mm."
+    )
     wafer: str = _choice("multi", ("multi", "mono"), "Multicrystalline or monocrystalline cells.")
     busbars: int = _number(3, "1", 1, 12, "Busbars per cell.")
     busbar_style: str = _choice("solid", ("solid", "dashed"), "Form of the busbars.")
@@ -105,7 +114,14 @@ class SimulationSettings:
     @property
     def layout(self) -> ModuleLayout:
         """Cells of the module."""
-        return ModuleLayout(self.rows, self.cols, self.cell_aspect)
+        return ModuleLayout(
+            self.rows,
+            self.cols,
+            self.cell_aspect,
+            ((self.rows // 2, self.row_gap),) if self.row_gap else (),
+            ((self.cols // 2, self.col_gap),) if self.col_gap else (),
+            (self.cell_gap, self.cell_gap),
+        )
 
     @property
     def focal_px(self) -> float:

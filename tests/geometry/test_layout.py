@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -57,3 +59,83 @@ def test_a_tile_begins_at_its_crossing() -> None:
     x, y = grid.to_pixels(np.array([2.0, 1.0]))
     assert across.start == x + 0.5
     assert down.start == y + 0.5
+
+
+def test_a_wide_gap_moves_what_lies_beyond_it_and_its_crossing_points_are_in_its_middle() -> None:
+    layout = ModuleLayout(2, 4, 0.5, row_gaps=((1, 0.3),), col_gaps=((2, 0.2),))
+    assert layout.col_lines.tolist() == pytest.approx([0, 1, 2.1, 3.2, 4.2])
+    assert layout.row_lines.tolist() == pytest.approx([0, 2.15, 4.3])
+    assert layout.size == pytest.approx((4.2, 4.3))
+    assert layout.cell_corners(1, 2).tolist() == pytest.approx(
+        np.array([[2.2, 2.3], [3.2, 2.3], [3.2, 4.3], [2.2, 4.3]])
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"col_gaps": ((4, 0.2),)}, "from 1 to 3"),
+        ({"col_gaps": ((2, 0.2), (1, 0.2))}, "in order"),
+        ({"row_gaps": ((1, -0.1),)}, "above 0"),
+        ({"cell_gap": (0.6, 0.1)}, "half of a cell"),
+    ],
+)
+def test_gaps_that_are_none_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InspectionError, match=words):
+        ModuleLayout(3, 4, **changes)
+
+
+gapped = st.builds(
+    lambda rows, cols, aspect, row, col, between: ModuleLayout(
+        rows,
+        cols,
+        aspect,
+        ((rows // 2, row),) if rows > 1 and row else (),
+        ((cols // 2, col),) if cols > 1 and col else (),
+        (between, between / aspect),
+    ),
+    st.integers(1, 12),
+    st.integers(1, 12),
+    st.sampled_from([0.5, 1.0, 2.0]),
+    st.sampled_from([0.0, 0.1, 0.4]),
+    st.sampled_from([0.0, 0.1, 0.4]),
+    st.sampled_from([0.0, 0.05, 0.2]),
+)
+
+
+@given(gapped, st.floats(20, 90))
+def test_the_tiles_of_a_module_with_gaps_are_alike_and_lie_where_its_cells_are(
+    layout: ModuleLayout, scale: float
+) -> None:
+    grid = HrGrid.covering(layout, scale, 2.0)
+    shapes = set()
+    for row, col in np.ndindex(layout.rows, layout.cols):
+        down, across = grid.cell_slices(row, col)
+        corners = grid.to_pixels(layout.cell_corners(row, col))
+        # Pixels are whole: a tile may lie a pixel off where the gap is no whole number of them.
+        np.testing.assert_allclose([across.start - 0.5, down.start - 0.5], corners[0], atol=1.01)
+        np.testing.assert_allclose([across.stop - 0.5, down.stop - 0.5], corners[2], atol=1.51)
+        shapes.add((down.stop - down.start, across.stop - across.start))
+        assert layout.cell_at(*layout.cell_corners(row, col).mean(axis=0)) == (row, col)
+    assert len(shapes) == 1
+
+
+@given(gapped)
+def test_the_cells_cut_in_four_lie_on_the_lines_of_the_module(layout: ModuleLayout) -> None:
+    finer = layout.halved()
+    np.testing.assert_allclose(finer.col_lines[::2], 2 * layout.col_lines, atol=1e-9)
+    np.testing.assert_allclose(finer.row_lines[::2], 2 * layout.row_lines, atol=1e-9)
+
+
+@given(gapped, st.integers(1, 3))
+def test_rows_and_columns_around_leave_the_module_as_it_is(layout: ModuleLayout, n: int) -> None:
+    around = layout.with_rows_around(n)
+    inside = around.col_lines[n:-n] - around.col_lines[n]
+    np.testing.assert_allclose(inside, layout.col_lines, atol=1e-9)
+
+
+def test_a_module_is_turned_only_where_its_lines_fall_onto_each_other() -> None:
+    assert ModuleLayout(3, 3).turns == (0, 1, 2, 3)
+    assert ModuleLayout(3, 4).turns == (0, 2)
+    assert ModuleLayout(4, 4, col_gaps=((2, 0.1),)).turns == (0, 2)
+    assert ModuleLayout(4, 4, col_gaps=((1, 0.1),)).turns == (0,)

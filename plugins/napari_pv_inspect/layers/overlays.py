@@ -126,16 +126,5 @@ def grid_of_frames(inspection: Inspection) -> list[Array]:
 
 def grid_segments(layout: ModuleLayout) -> tuple[Array, Array]:
     """Cell borders in the module plane, cut into short segments: starts and ends, each (n, 2)."""
-    width, height = layout.size
-    across = np.linspace(0.0, width, layout.cols * SEGMENTS_PER_CELL + 1)
-    down = np.linspace(0.0, height, layout.rows * SEGMENTS_PER_CELL + 1)
-    starts, ends = [], []
-    for y in down[::SEGMENTS_PER_CELL]:
-        line = np.column_stack([across, np.full_like(across, y)])
-        starts.append(line[:-1])
-        ends.append(line[1:])
-    for x in across[::SEGMENTS_PER_CELL]:
-        line = np.column_stack([np.full_like(down, x), down])
-        starts.append(line[:-1])
-        ends.append(line[1:])
-    return np.concatenate(starts), np.concatenate(ends)
+    lines = layout.grid_lines(SEGMENTS_PER_CELL)
+    return np.concatenate([line[:-1] for line in lines]), np.concatenate([x[1:] for x in lines])

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from napari_pv_inspect.coordinates import to_world
 from pv_inspect.geometry.grid import HrGrid
 
@@ -54,8 +52,8 @@ def module_placement(
 
 def cell_box(grid: HrGrid, placement: Placement, row: int, col: int) -> tuple[float, ...]:
     """Centre (row, col) and size (height, width) of one cell in world coordinates."""
-    px, py = grid.pixels_per_cell
-    corner = np.array([[col, row / grid.layout.cell_aspect]], dtype=np.float64)
-    top, left = to_world(grid.to_pixels(corner))[0]
+    corners = grid.to_pixels(grid.layout.cell_corners(row, col))
+    px, py = corners[2] - corners[0]
+    top, left = to_world(corners[:1])[0]
     centre = placement.to_world((top + py / 2, left + px / 2))
     return (*centre, py * placement.scale[0], px * placement.scale[1])

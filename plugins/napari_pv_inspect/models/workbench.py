@@ -345,8 +345,9 @@ class WorkbenchModel:
             if isinstance(step.partial, np.ndarray):
                 self.preview_changed.emit(step.partial)
             elif step.partial is not None and self.draft is not None:
-                layout = self.draft.frames.layout(self.run_settings)
                 grown = self.draft.with_part(step.partial)
+                found = grown.crossings
+                layout = found.layout if found else grown.frames.layout(self.run_settings)
                 self.draft = replace(grown, settings=self.run_settings, layout=layout)
                 self._tell("inspection_changed")
 

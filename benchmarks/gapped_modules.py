@@ -1,0 +1,224 @@
+"""Modules with wide gaps, simulated: they are found without being told, or refused.
+
+    python benchmarks/gapped_modules.py [--seeds 0 100] [--jobs 2] [--frames 6]
+
+Half-cut modules with centre gaps of 0 to 30 mm, mini-modules with 2 to 20 % of the pitch between
+all cells, third-cut cells and plain ones of 3 x 3 to 12 x 24 cells are run up to the registered
+frames with their rows, columns and cell aspect alone. "right" is a module whose gaps are found to
+0.02 cell widths and whose crossing points lie within 0.3 LR px (RMS) of the truth; "silent" one
+that is wrong without a word. Times are CPU seconds of the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import tempfile
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from time import process_time
+
+import cv2
+import numba
+import numpy as np
+
+from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.pipeline import inspect_steps
+from pv_inspect.registration.registration import Registration
+from pv_inspect.sequence.sequence import FrameSequence
+from pv_inspect.settings import Settings
+from pv_inspect.simulate import (
+    SimulatedSequence,
+    SimulationSettings,
+    simulated,
+    write_sequence,
+)
+from pv_inspect.simulate.exposure import camera_matrix, choose_poses
+
+GAP_TOLERANCE = 0.02
+MOST_RMS_PX = 0.3
+CELL_MM = 182.0
+"""Width of a whole wafer of today's modules."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one module came to."""
+
+    seed: int
+    kind: str
+    true: ModuleLayout
+    answer: str
+    rms_px: float
+    cpu_s: float
+    words: str
+
+
+def drawn(seed: int, n_frames: int) -> tuple[str, SimulationSettings]:
+    """Draw a module, a view and a camera."""
+    rng = np.random.default_rng([14, seed])
+    while True:
+        with contextlib.suppress(InspectionError):  # the lens folds this view over: draw again
+            return _drawn(rng, seed, n_frames)
+
+
+def _layout(rng: np.random.Generator) -> tuple[str, dict[str, float]]:
+    kind = str(rng.choice(["half-cut", "mini", "third-cut", "plain"], p=[0.5, 0.25, 0.1, 0.15]))
+    if kind == "half-cut":
+        along, across = int(rng.choice([20, 24])), 6
+        gap_mm = float(rng.choice([0, 4, 8, 12, 16, 20, 25, 30]))
+        if rng.random() < 0.5:  # lying: cells half as wide as high, the unit is half a wafer
+            values = {"rows": across, "cols": along, "cell_aspect": 0.5}
+            return kind, values | {"col_gap": gap_mm / (CELL_MM / 2)}
+        values = {"rows": along, "cols": across, "cell_aspect": 2.0}
+        return kind, values | {"row_gap": gap_mm / CELL_MM}
+    if kind == "mini":
+        rows, cols = (2, 2) if rng.random() < 0.4 else (4, 9)
+        return kind, {"rows": rows, "cols": cols, "cell_gap": float(rng.uniform(0.02, 0.2))}
+    if kind == "third-cut":
+        values = {"rows": 6, "cols": 30, "cell_aspect": 1 / 3}
+        return kind, values | {"col_gap": float(rng.choice([0, 0.15, 0.3]))}
+    rows, cols = ((3, 3), (4, 6), (6, 10), (6, 12), (12, 24))[int(rng.integers(5))]
+    return kind, {"rows": rows, "cols": cols}
+
+
+def _drawn(rng: np.random.Generator, seed: int, n_frames: int) -> tuple[str, SimulationSettings]:
+    kind, layout = _layout(rng)
+    settings = SimulationSettings(
+        seed=seed,
+        **layout,
+        wafer=str(rng.choice(["multi", "mono"])),
+        busbars=int(rng.integers(2, 10)),
+        busbar_style=str(rng.choice(["solid", "dashed"])),
+        crack_share=float(rng.uniform(0, 0.5)),
+        dark_cell_share=float(rng.choice([0.0, 0.02, 0.05])),
+        n_frames=n_frames,
+        kappa=float(rng.uniform(-0.3, 0.3)),
+        tilt_deg=float(rng.uniform(0, 25)),
+        tilt_axis_deg=float(rng.uniform(0, 360)),
+        roll_deg=float(rng.uniform(-30, 30)),
+        fill=float(rng.uniform(0.75, 0.92)),
+        jitter_px=float(rng.uniform(0.5, 4)),
+        motion_blur_px=float(rng.choice([0.3, 1.0, 2.0]) * rng.random()),
+        psf_sigma_px=float(rng.uniform(0.3, 0.7)),
+        supersampling=3,
+        exposure=float(rng.choice([0.3, 0.6, 0.75])),
+        full_well_e=float(np.exp(rng.uniform(np.log(3000), np.log(30000)))),
+        read_noise_e=float(rng.uniform(10, 80)),
+        ambient=float(rng.uniform(0, 0.03)),
+        vignetting=float(rng.uniform(0, 0.25)),
+        column_offset_e=float(rng.uniform(0, 60)),
+    )
+    poses = choose_poses(settings, np.random.default_rng(0))
+    camera = Camera(camera_matrix(settings), settings.kappa)
+    areas = np.abs(np.linalg.det(camera.jacobian(poses[0].H, settings.layout.crossings())))
+    # Small modules in smaller frames: their cells would be of hundreds of pixels.
+    per_unit = float(np.sqrt(areas.mean()))
+    width = round(float(np.clip(640 * 110 / per_unit, 256, 640)))
+    scale = per_unit * width / 640
+    return kind, replace(
+        settings,
+        width=width,
+        height=round(0.8 * width),
+        pixels_per_unit=int(np.clip(3.5 * scale, 60, 300)),
+    )
+
+
+def _gaps_right(found: ModuleLayout, true: ModuleLayout) -> bool:
+    off = [abs(one - other) for one, other in zip(found.cell_gap, true.cell_gap, strict=True)]
+    # Up to a few hundredths of the pitch a gap between all cells looks like a usual one.
+    between = max(off) <= GAP_TOLERANCE or (not any(found.cell_gap) and max(off) < 0.06)
+    lines = np.abs(found.crossings() - true.crossings()).max()
+    return between and bool(lines <= GAP_TOLERANCE)
+
+
+def _error_px(registration: Registration, made: SimulatedSequence) -> float:
+    """RMS distance of the crossing points from the truth, whichever way up the module lies."""
+    errors = []
+    for i in np.flatnonzero(registration.used):
+        points = registration.crossings_px(int(i))
+        true = made.crossings_px(int(i))
+        errors.append(min(float(np.square(p - true).sum(1).mean()) for p in (points, points[::-1])))
+    return float(np.sqrt(np.mean(errors)))
+
+
+def trial(seed: int, n_frames: int) -> Answer:
+    """Simulate one module and run it without telling its gaps."""
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+    kind, settings = drawn(seed, n_frames)
+    made = simulated(settings)
+    layout = settings.layout.plain
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "sequence"
+        write_sequence(made, folder)
+        # The sidecar may say nothing of gaps.
+        shape = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
+        (folder / "module.json").write_text(json.dumps(shape), encoding="utf-8")
+        return _answered(seed, kind, made, FrameSequence.open(folder))
+
+
+def _answered(seed: int, kind: str, made: SimulatedSequence, frames: FrameSequence) -> Answer:
+    true, layout = made.settings.layout, made.settings.layout.plain
+    given = Settings(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
+    begun = process_time()
+    answer, rms, words = "refused", np.nan, ""
+    steps = inspect_steps(frames, given)
+    try:
+        for step in steps:
+            if isinstance(step.partial, Registration):
+                registration = step.partial
+                rms = _error_px(registration, made)
+                found = registration.layout
+                right = _gaps_right(found, true) and rms <= MOST_RMS_PX
+                answer = "right" if right else "silent"
+                words = f"{int(registration.used.sum())} used; {found.gaps_in_words}"
+                break
+    except InspectionError as error:
+        words = str(error)
+    finally:
+        steps.close()
+    return Answer(seed, kind, true, answer, float(rms), process_time() - begun, words)
+
+
+def main() -> int:
+    """Print the table; the exit code is 1 if a module was wrong without a word."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 100), metavar=("FIRST", "END"))
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--frames", type=int, default=6)
+    args = parser.parse_args()
+    answers: list[Answer] = []
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(args.jobs, mp_context=context) as pool:
+        for one in pool.map(partial(trial, n_frames=args.frames), range(*args.seeds)):
+            answers.append(one)
+            print(
+                f"{one.seed:4d} {one.kind:9} {one.true.rows:2d} x {one.true.cols:2d} "
+                f"{one.answer:8} {one.rms_px:6.3f} px {one.cpu_s:6.1f} s  "
+                f"true: {one.true.gaps_in_words or 'none'}  {one.words[:150]}",
+                flush=True,
+            )
+    count = Counter(one.answer for one in answers)
+    print(" ".join(f"{count[k]} {k}" for k in ("right", "refused", "silent")), "of", len(answers))
+    for plain in (True, False):
+        rms = [
+            a.rms_px for a in answers if a.answer == "right" and (a.true == a.true.plain) is plain
+        ]
+        if rms:
+            name = "without" if plain else "with"
+            print(f"RMS {name} gaps: median {np.median(rms):.3f}, worst {max(rms):.3f} px")
+    return int(count["silent"] > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

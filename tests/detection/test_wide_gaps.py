@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.single_frame import find_module
+from pv_inspect.detection.wide_gaps import gaps_in_frame
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.simulate import SimulationSettings, simulated
+
+HALF_CUT = {"rows": 4, "cols": 12, "cell_aspect": 0.5}
+MINI = {"rows": 2, "cols": 2, "width": 256, "height": 256}
+
+
+def _settings(**values: Any) -> SimulationSettings:
+    small = {"n_frames": 1, "width": 400, "height": 320, "pixels_per_unit": 100, "seed": 3}
+    return SimulationSettings(supersampling=3, **{**small, **values})
+
+
+@cache
+def _frame(settings: SimulationSettings) -> NDArray[np.float32]:
+    return (simulated(settings).frames[0].astype(np.float32) - 64) / 4031
+
+
+@pytest.mark.parametrize("gap", [0.05, 0.1, 0.2, 0.4])
+def test_the_gap_of_a_half_cut_module_is_found_without_being_told(gap: float) -> None:
+    settings = _settings(**HALF_CUT, col_gap=gap)
+    found = gaps_in_frame(_frame(settings), settings.layout.plain)
+    assert found is not None
+    assert [after for after, _ in found.col_gaps] == [6]
+    # From one frame: a quarter of a pixel. A sequence takes the median of several.
+    assert found.col_gaps[0][1] == pytest.approx(gap, abs=0.008)
+    assert found.row_gaps == ()
+    assert found.cell_gap == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "values", [HALF_CUT, {"rows": 4, "cols": 6}, {"rows": 5, "cols": 8, "seed": 5}, MINI]
+)
+def test_no_gap_is_found_where_all_are_alike(values: dict[str, Any]) -> None:
+    settings = _settings(**values)
+    assert gaps_in_frame(_frame(settings), settings.layout) == settings.layout
+
+
+@pytest.mark.parametrize("gap", [0.06, 0.12, 0.2])
+@pytest.mark.parametrize("module", [MINI, {"rows": 3, "cols": 5}])
+def test_gaps_between_all_cells_are_measured(module: dict[str, Any], gap: float) -> None:
+    settings = _settings(**module, cell_gap=gap)
+    found = gaps_in_frame(_frame(settings), settings.layout.plain)
+    assert found is not None
+    assert found.cell_gap == pytest.approx((gap, gap), abs=0.01)
+    assert found.row_gaps == found.col_gaps == ()
+
+
+def test_a_layout_that_says_its_gap_is_found_where_an_even_one_is_not() -> None:
+    settings = _settings(**HALF_CUT, col_gap=0.25)
+    frame = _frame(settings)
+    assert find_module(frame, settings.layout).share > 0.95
+    with pytest.raises(OutlineError):
+        find_module(frame, settings.layout.plain)
+
+
+def test_wrong_rows_are_not_explained_by_a_gap() -> None:
+    settings = _settings(rows=5, cols=6)
+    assert gaps_in_frame(_frame(settings), ModuleLayout(4, 6)) is None
