@@ -30,7 +30,7 @@ from pv_inspect.detection.gap_model import STEP_PX
 from pv_inspect.detection.gap_proposals import proposed_layouts
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
 from pv_inspect.detection.outline import Outline, OutlineError, find_outlines, fit_pose
-from pv_inspect.detection.seen_layout import SURE_SHARE
+from pv_inspect.detection.seen_layout import SURE_SHARE, fits_given, seen_layout
 from pv_inspect.detection.single_frame import (
     MAX_ASPECT_RATIO_ERROR,
     SAME_OUTLINE_PX,
@@ -120,6 +120,8 @@ def gaps_in_frame(
     best: _Seen | None = None
     with suppress(OutlineError):
         best = _refined(image, _Seen(layout, find_module(image, layout, inside)))
+    if best is None and _other_layout_fits(image, layout, inside):
+        return None
     if best is None or best.found.share < SURE_SHARE:
         for proposal, outline in islice(_proposals(image, layout, inside), MOST_PROPOSALS):
             with suppress(OutlineError):
@@ -130,6 +132,21 @@ def gaps_in_frame(
             if best is not None and best.found.share >= SURE_SHARE:
                 break
     return None if best is None else best.layout
+
+
+def _other_layout_fits(
+    image: NDArray[np.float32], layout: ModuleLayout, inside: tuple[float, float] | None
+) -> bool:
+    """Whether other rows or columns explain the frame without any wide gap.
+
+    One half of the given layout does not count: on both sides of a wide gap lies such a module.
+    """
+    seen = seen_layout(image, layout, inside)
+    if seen is None or seen[1].share < SURE_SHARE or fits_given(seen[0], layout):
+        return False
+    other = seen[0]
+    halves = sorted((layout.rows / other.rows, layout.cols / other.cols))
+    return halves != [1.0, 2.0]
 
 
 def _proposals(
