@@ -66,9 +66,9 @@ class InspectDock(QWidget):
     def __init__(self, napari_viewer: ViewerModel) -> None:
         super().__init__()
         self.workbench = workbench = Workbench.of(napari_viewer)
-        self.open_folder = QPushButton("Open...")
+        self.open_folder = QPushButton("Open")
         self.open_folder.setToolTip("Open a folder: frames of one module, or a result.")
-        self.open_files = QPushButton("File...")
+        self.open_files = QPushButton("File")
         self.open_files.setToolTip("Open a file that holds several frames, or some frames.")
         self.open_sample = QPushButton("Sample")
         self.open_sample.setToolTip("Open the sample module.")
@@ -89,6 +89,7 @@ class InspectDock(QWidget):
         self.setMinimumWidth(WIDTH)
         sources = QGridLayout()
         sources.setVerticalSpacing(0)
+        sources.setHorizontalSpacing(3)
         sources.addWidget(self.name, 0, 0)
         sources.addWidget(self.headline, 1, 0)
         sources.addWidget(self.open_folder, 0, 1, 2, 1)
@@ -179,10 +180,11 @@ class InspectDock(QWidget):
             self.show_name("Nothing is open.", "", "")
             return
         height, width = sequence.shape
-        facts = f"{len(sequence)} frames, {width} x {height} px"
+        # Without the unit there is room for it beside the buttons of the narrowest dock.
+        facts = f"{len(sequence)} frames, {width} x {height}"
         depth = sequence.bit_depth
         values = "computed values" if depth is None else f"{depth} bit"
-        self.show_name(sequence.source.name, facts, f"{sequence.source}: {facts}, {values}")
+        self.show_name(sequence.source.name, facts, f"{sequence.source}: {facts} px, {values}")
 
     def _on_result(self, result: Inspection) -> None:
         self.show_name(result.source.name, "a result without its frames", str(result.source))

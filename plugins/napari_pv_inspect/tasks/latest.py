@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import Condition, Thread
@@ -206,6 +207,9 @@ class LatestOnly(QObject):
         if self._closed:
             return
         self._timer.stop()
+        self._forget()
+
+    def _forget(self) -> None:
         self._delayed = None
         self._void = self._finished = self._number
         self._thread.put(self, None)
@@ -214,7 +218,9 @@ class LatestOnly(QObject):
         """Take no more requests, and answer none; wait for what is being done at most so long."""
         if self._closed:
             return
-        self.cancel()
+        with suppress(RuntimeError):  # at the end of the program Qt has deleted the timer
+            self._timer.stop()
+        self._forget()
         self._closed = True
         self._thread.leave(self)
         if wait_s > 0:
