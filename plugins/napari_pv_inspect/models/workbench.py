@@ -346,8 +346,10 @@ class WorkbenchModel:
                 self.preview_changed.emit(step.partial)
             elif step.partial is not None and self.draft is not None:
                 grown = self.draft.with_part(step.partial)
-                found = grown.crossings
-                layout = found.layout if found else grown.frames.layout(self.run_settings)
+                layout, found = grown.frames.layout(self.run_settings), grown.crossings
+                if found and (found.layout.rows, found.layout.cols) == (layout.rows, layout.cols):
+                    # With the wide gaps that the frames show.
+                    layout = found.layout
                 self.draft = replace(grown, settings=self.run_settings, layout=layout)
                 self._tell("inspection_changed")
 
