@@ -27,10 +27,10 @@ from pv_inspect.geometry.pose import Pose
 __all__ = [
     "MAX_ASPECT_RATIO_ERROR",
     "RUNS_OVER",
-    "SAME_OUTLINE_PX",
     "Found",
     "GridFaultError",
     "TwoModulesError",
+    "complete_outlines",
     "completed_module",
     "detect_in_frame",
     "find_module",
@@ -171,7 +171,7 @@ def find_module(
         If the frame shows no whole module of that layout.
     """
     reason: OutlineError | None = None
-    for outline in _complete_outlines(image, inside):
+    for outline in complete_outlines(image, inside):
         try:
             found = found_in_outline(image, layout, outline)
         except OutlineError as error:
@@ -192,14 +192,14 @@ def completed_module(
     """
     if cell_edges(layout).inner.sum() >= MIN_GAPS_TO_COMPLETE:
         # Nearly the same outline may come to another fifth side.
-        for outline in _complete_outlines(image, inside, apart_px=0.0):
+        for outline in complete_outlines(image, inside, apart_px=0.0):
             for whole in outline.completed():
                 with contextlib.suppress(OutlineError):
                     return found_in_outline(image, layout, whole)
     raise OutlineError("no module with a corner missing")
 
 
-def _complete_outlines(
+def complete_outlines(
     image: NDArray[np.float32],
     inside: tuple[float, float] | None,
     apart_px: float = SAME_OUTLINE_PX,

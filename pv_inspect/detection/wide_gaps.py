@@ -29,12 +29,12 @@ from pv_inspect.detection.edges import (
 from pv_inspect.detection.gap_model import STEP_PX
 from pv_inspect.detection.gap_proposals import proposed_layouts
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
-from pv_inspect.detection.outline import Outline, OutlineError, find_outlines, fit_pose
+from pv_inspect.detection.outline import Outline, OutlineError, fit_pose
 from pv_inspect.detection.seen_layout import SURE_SHARE, fits_given, seen_layout
 from pv_inspect.detection.single_frame import (
     MAX_ASPECT_RATIO_ERROR,
-    SAME_OUTLINE_PX,
     Found,
+    complete_outlines,
     detect_in_frame,
     find_module,
     found_in_outline,
@@ -157,7 +157,7 @@ def _proposals(
     Wide gaps make outlines of single cells and of halves as well: the largest comes first.
     """
     shape = layout.size[0] / layout.size[1]
-    for outline in sorted(_distinct_outlines(image, inside), key=lambda one: -one.area):
+    for outline in sorted(_outlines(image, inside), key=lambda one: -one.area):
         with suppress(OutlineError):
             pose, _ = fit_pose(outline, UNIT, image.shape, 0)
             for start in (pose, pose.turned(UNIT.size, UNIT.size, 1)):
@@ -167,16 +167,12 @@ def _proposals(
                     yield proposal, outline
 
 
-def _distinct_outlines(
-    image: NDArray[np.float32], inside: tuple[float, float] | None
-) -> list[Outline]:
-    """Outlines that are not cut, each once."""
+def _outlines(image: NDArray[np.float32], inside: tuple[float, float] | None) -> list[Outline]:
+    """Return the outlines that are not cut, as many as there are."""
     found: list[Outline] = []
     with suppress(OutlineError):
-        for one in find_outlines(image, inside):
-            nearest = [np.abs(one.corners_px - other.corners_px).max() for other in found]
-            if not one.cut and min(nearest, default=np.inf) >= SAME_OUTLINE_PX:
-                found.append(one)
+        for one in complete_outlines(image, inside):
+            found.append(one)  # noqa: PERF402  # those before an error count
     return found
 
 

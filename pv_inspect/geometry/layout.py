@@ -157,15 +157,6 @@ class ModuleLayout:
         right, bottom = left + 1 - gap_x, top + 1 / self.cell_aspect - gap_y
         return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
-    def cell_at(self, x: float, y: float) -> tuple[int, int] | None:
-        """Row and column of the cell in whose pitch a point lies, if any."""
-        col = int(np.searchsorted(self.col_starts, x, side="right")) - 1
-        row = int(np.searchsorted(self.row_starts, y, side="right")) - 1
-        if row < 0 or col < 0:
-            return None
-        inside = x - self.col_starts[col] <= 1 and y - self.row_starts[row] <= 1 / self.cell_aspect
-        return (row, col) if inside else None
-
     def grid_lines(self, per_cell: int) -> list[Points]:
         """Lines through the crossing points, along x first, as points (n, 2) some per cell."""
         width, height = self.size
