@@ -26,6 +26,7 @@ from time import process_time
 import cv2
 import numba
 import numpy as np
+from wrong_layouts import drawn_sensor, drawn_view
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
@@ -100,21 +101,10 @@ def _drawn(rng: np.random.Generator, seed: int, n_frames: int) -> tuple[str, Sim
         crack_share=float(rng.uniform(0, 0.5)),
         dark_cell_share=float(rng.choice([0.0, 0.02, 0.05])),
         n_frames=n_frames,
-        kappa=float(rng.uniform(-0.3, 0.3)),
-        tilt_deg=float(rng.uniform(0, 25)),
-        tilt_axis_deg=float(rng.uniform(0, 360)),
-        roll_deg=float(rng.uniform(-30, 30)),
-        fill=float(rng.uniform(0.75, 0.92)),
-        jitter_px=float(rng.uniform(0.5, 4)),
-        motion_blur_px=float(rng.choice([0.3, 1.0, 2.0]) * rng.random()),
-        psf_sigma_px=float(rng.uniform(0.3, 0.7)),
+        **drawn_view(rng),
         supersampling=3,
         exposure=float(rng.choice([0.3, 0.6, 0.75])),
-        full_well_e=float(np.exp(rng.uniform(np.log(3000), np.log(30000)))),
-        read_noise_e=float(rng.uniform(10, 80)),
-        ambient=float(rng.uniform(0, 0.03)),
-        vignetting=float(rng.uniform(0, 0.25)),
-        column_offset_e=float(rng.uniform(0, 60)),
+        **drawn_sensor(rng),
     )
     poses = choose_poses(settings, np.random.default_rng(0))
     camera = Camera(camera_matrix(settings), settings.kappa)

@@ -81,21 +81,10 @@ def _drawn(rng: np.random.Generator, seed: int, n_frames: int | None) -> Simulat
         crack_share=float(rng.uniform(0, 0.6)),
         dark_cell_share=float(rng.choice([0.0, 0.02, 0.1, 0.3])),
         n_frames=frames,
-        kappa=float(rng.uniform(-0.3, 0.3)),
-        tilt_deg=float(rng.uniform(0, 25)),
-        tilt_axis_deg=float(rng.uniform(0, 360)),
-        roll_deg=float(rng.uniform(-30, 30)),
-        fill=float(rng.uniform(0.75, 0.92)),
-        jitter_px=float(rng.uniform(0.5, 4)),
-        motion_blur_px=float(rng.choice([0.3, 1.0, 2.0]) * rng.random()),
-        psf_sigma_px=float(rng.uniform(0.3, 0.7)),
+        **drawn_view(rng),
         supersampling=3,
         exposure=float(rng.choice([0.3, 0.6, 0.75, 1.3])),
-        full_well_e=float(np.exp(rng.uniform(np.log(3000), np.log(30000)))),
-        read_noise_e=float(rng.uniform(10, 80)),
-        ambient=float(rng.uniform(0, 0.03)),
-        vignetting=float(rng.uniform(0, 0.25)),
-        column_offset_e=float(rng.uniform(0, 60)),
+        **drawn_sensor(rng),
     )
     # The focal length goes with the width, so the frame size sets how large the cells come out.
     poses = choose_poses(settings, np.random.default_rng(0))
@@ -107,6 +96,31 @@ def _drawn(rng: np.random.Generator, seed: int, n_frames: int | None) -> Simulat
     settings = replace(settings, width=round(width), height=round(0.8 * width), pixels_per_unit=ppu)
     choose_poses(settings, np.random.default_rng(0))
     return settings
+
+
+def drawn_view(rng: np.random.Generator) -> dict[str, float]:
+    """Draw lens, pose, motion and optics."""
+    return {
+        "kappa": float(rng.uniform(-0.3, 0.3)),
+        "tilt_deg": float(rng.uniform(0, 25)),
+        "tilt_axis_deg": float(rng.uniform(0, 360)),
+        "roll_deg": float(rng.uniform(-30, 30)),
+        "fill": float(rng.uniform(0.75, 0.92)),
+        "jitter_px": float(rng.uniform(0.5, 4)),
+        "motion_blur_px": float(rng.choice([0.3, 1.0, 2.0]) * rng.random()),
+        "psf_sigma_px": float(rng.uniform(0.3, 0.7)),
+    }
+
+
+def drawn_sensor(rng: np.random.Generator) -> dict[str, float]:
+    """Draw noise, stray light and pattern of the sensor."""
+    return {
+        "full_well_e": float(np.exp(rng.uniform(np.log(3000), np.log(30000)))),
+        "read_noise_e": float(rng.uniform(10, 80)),
+        "ambient": float(rng.uniform(0, 0.03)),
+        "vignetting": float(rng.uniform(0, 0.25)),
+        "column_offset_e": float(rng.uniform(0, 60)),
+    }
 
 
 def wrong_layouts(true: ModuleLayout) -> dict[str, ModuleLayout]:
