@@ -189,6 +189,8 @@ def read_cracks(
             busbars=busbars,
             cell_width_mm=settings.cell_width_mm,
             least_extent_cells=point.least_extent_cells,
+            least_length_cells=point.least_length_cells,
+            least_score=point.least_score,
             support=None if tiles.support is None else tiles.support[row, col],
         )
         for row, col in np.ndindex(rows, cols)

@@ -29,8 +29,9 @@ class CellState(StrEnum):
 _MEANING = {
     CellState.SUSPECTED: "At least one mark that a crack could have made.",
     CellState.UNDECIDABLE: (
-        "The frames do not tell: whether there are cracks, or how bad they are, hangs on details "
-        "that the frames do not determine."
+        "It is left open whether there are cracks, or how bad they are: that hangs on details "
+        "that the frames do not determine, all marks are too short or too faint, or the cell looks "
+        "unlike all that the detector has learnt."
     ),
     CellState.DARK: "Dark as a whole: its cracks are not judged.",
     CellState.CLEAN: "No mark that a crack could have made, and the frames would have shown one.",
@@ -58,25 +59,36 @@ class CellCounts:
     suspected, clean : int
         Cells that could be judged.
     undecidable : int
-        Cells that can't be judged from these frames (class "unsure" in the tables).
+        Cells that can't be judged (class "unsure" in the tables).
     dark : int
         Cells that are dark as a whole and therefore not judged.
+    unfamiliar : int
+        Those of ``undecidable`` that look unlike all that the detector has learnt.
+    weak : int
+        Those of the others of ``undecidable`` whose marks are all too short or too faint.
     """
 
     suspected: int
     clean: int
     undecidable: int
     dark: int
+    unfamiliar: int = 0
+    weak: int = 0
 
     @classmethod
     def of(cls, cells: Iterable[CellFeatures]) -> CellCounts:
         """Count cells."""
+        cells = list(cells)
         found = Counter(map(state_of, cells))
+        open_cells = [cell for cell in cells if cell.undecidable]
+        unfamiliar = sum(cell.unfamiliar for cell in open_cells)
         return cls(
             found[CellState.SUSPECTED],
             found[CellState.CLEAN],
             found[CellState.UNDECIDABLE],
             found[CellState.DARK],
+            unfamiliar,
+            sum(cell.weak_marks and not cell.unfamiliar for cell in open_cells),
         )
 
     def __getitem__(self, state: CellState) -> int:
@@ -106,11 +118,23 @@ class CellCounts:
         of_all = f" of {self.total} {'cell' if self.total == 1 else 'cells'}"
         parts = []
         if self.undecidable:
-            parts.append(f"{self.undecidable}{of_all} can't be judged from these frames")
+            parts.append(f"{self.undecidable}{of_all} can't be judged{self._because}")
         if self.dark:
             is_dark = "is dark" if self.dark == 1 else "are dark"
             parts.append(f"{self.dark}{'' if parts else of_all} {is_dark} and not judged")
         return ", ".join(parts)
+
+    @property
+    def _because(self) -> str:
+        """Why cells can't be judged, the reason with the most to say about the run first."""
+        if not (self.unfamiliar or self.weak):
+            return " from these frames"
+        reasons = {
+            "unlike all that the detector has learnt": self.unfamiliar,
+            "with marks too short or too faint for a crack": self.weak,
+            "not supported by the frames": self.undecidable - self.unfamiliar - self.weak,
+        }
+        return f" ({', '.join(f'{n} {why}' for why, n in reasons.items() if n)})"
 
     @property
     def text(self) -> str:

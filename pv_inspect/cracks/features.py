@@ -10,8 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.cracks.areas import (
+    UNSUPPORTED,
+    dark_shares,
+    isolated,
+    support_on,
+    unsupported_share,
+)
 from pv_inspect.cracks.centreline import branches, length_of
-from pv_inspect.cracks.isolation import Busbars, isolated_share
+from pv_inspect.cracks.isolation import Busbars
 
 __all__ = [
     "FEATURES",
@@ -32,17 +39,9 @@ _LARGE_EXTENT_CELLS = 0.25
 # A cell that is dark in at least this share has no current through it: what looks like a crack in
 # it is noise, or can't be told from noise.
 _DARK_CELL_SHARE = 0.5
-# The cell's edge belongs to the gap between cells, and thin dark lines are no dark area.
-_BORDER_CELLS = 0.04
-_DARK_MIN_WIDTH_CELLS = 0.05
-_DARK_LEVEL = 0.5
 # The score looks at as many pixels as a mark of this length and width has.
 _SCORE_LENGTH_CELLS = 0.1
 _SCORE_WIDTH_CELLS = 0.01
-# Frames that all stand in one place reach about this support
-# (`pv_inspect.reconstruction.support`): pixels with less show no detail that is finer than the
-# pixels of a frame and comes from the frames.
-UNSUPPORTED = 0.1
 _UNSUPPORTED_SHARE = 0.5
 # Classes: less than this share of the cell counts as nothing cut off, and brightness of what would
 # be cut off relative to the rest of the cell.
@@ -60,10 +59,17 @@ class OperatingPoint:
         Least probability of a pixel.
     least_extent_cells : float
         Least length of a mark, cell widths.
+    least_length_cells : float
+        Least length of the longest mark along its centre line, cell widths, from which on a cell
+        gets a class. A cell whose marks are all shorter can't be judged.
+    least_score : float
+        Least `CellFeatures.crack_score` from which on a cell gets a class.
     """
 
     threshold: float = 0.5
     least_extent_cells: float = 0.15
+    least_length_cells: float = 0.0
+    least_score: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,12 @@ class CellFeatures:
         with a support under 0.1. NaN if no support map is known.
     unsure : bool
         Whether the class hangs on what the frames did not earn (`wording.CLASS_RULE`).
+    weak_marks : bool
+        Whether there are marks, but all are too short or too faint for a class
+        (`OperatingPoint.least_length_cells`, ``least_score``); marks without length always are.
+    novelty : float
+        How far the look of the cell is from all that the detector has learnt; from 1 on its
+        cracks can't be judged. NaN if the detector does not say.
     """
 
     row: int
@@ -124,6 +136,8 @@ class CellFeatures:
     crack_support: float = float("nan")
     unsupported_share: float = float("nan")
     unsure: bool = False
+    weak_marks: bool = False
+    novelty: float = float("nan")
 
     @property
     def has_marks(self) -> bool:
@@ -132,8 +146,13 @@ class CellFeatures:
 
     @property
     def undecidable(self) -> bool:
-        """Whether the frames leave open what the class is: neither suspected nor clean."""
-        return self.unsure and not self.dark
+        """Whether it is left open what the class is: neither suspected nor clean."""
+        return (self.unsure or self.weak_marks or self.unfamiliar) and not self.dark
+
+    @property
+    def unfamiliar(self) -> bool:
+        """Whether the cell looks unlike all that the detector has learnt."""
+        return self.novelty >= 1
 
     @property
     def crack_suspected(self) -> bool:
@@ -271,6 +290,9 @@ def measure_cell(
     least_extent_cells: float = OperatingPoint.least_extent_cells,
     support: NDArray[np.float32] | None = None,
     marks: list[NDArray[np.bool_]] | None = None,
+    least_length_cells: float = OperatingPoint.least_length_cells,
+    least_score: float = OperatingPoint.least_score,
+    novelty: float = math.nan,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -294,33 +316,41 @@ def measure_cell(
     support : (h, w) float32, optional
         Support map of the cell.
     marks : list of (h, w) bool, optional
-        What a person has marked as cracks, instead of what `crack_marks` finds.
+        What a person has marked as cracks, instead of what `crack_marks` finds; none is too weak.
+    least_length_cells, least_score : float
+        See `OperatingPoint`.
+    novelty : float
+        See `CellFeatures`.
 
     Returns
     -------
     CellFeatures
     """
-    dark_share, largest_dark = _dark_shares(tile, usual_intensity, cell_width_px)
+    dark_share, largest_dark = dark_shares(tile, usual_intensity, cell_width_px)
     readable = dark_share < _DARK_CELL_SHARE
+    by_hand = marks is not None
     if marks is None:
         found = crack_marks(probability, threshold, cell_width_px, least_extent_cells)
         marks = found if readable else []
     lines = [branches(mark) for mark in marks]
-    length = sum(length_of(chain) for chains in lines for chain in chains) / cell_width_px
-    isolated, brightness = _isolated(tile, marks, busbars)
+    lengths = [sum(map(length_of, chains)) / cell_width_px for chains in lines]
+    length, longest = sum(lengths), max(lengths, default=0.0)
+    cut_off, brightness = isolated(tile, marks, busbars)
     unsupported, unsure = float("nan"), False
     if support is not None:
-        shares = [_unsupported_share(chains, support) for chains in lines]
-        unsupported = _unsupported_share([chain for chains in lines for chain in chains], support)
+        shares = [unsupported_share(chains, support) for chains in lines]
+        unsupported = unsupported_share([chain for chains in lines for chain in chains], support)
         if readable and not marks:
             unsure = unsupported >= _UNSUPPORTED_SHARE
         elif marks:
             firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNSUPPORTED_SHARE]
-            without = _class_of(len(firm), *_isolated(tile, firm, busbars))
-            unsure = without != _class_of(len(marks), isolated, brightness)
+            without = _class_of(len(firm), *isolated(tile, firm, busbars))
+            unsure = without != _class_of(len(marks), cut_off, brightness)
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)
     n_score = min(max(n_score, 1), probability.size)
     highest = np.partition(probability, probability.size - n_score, axis=None)[-n_score:]
+    score = float(highest.mean(dtype=np.float64))
+    weak = longest <= 0 or longest < least_length_cells or score < least_score
     return CellFeatures(
         row=row,
         col=col,
@@ -328,71 +358,15 @@ def measure_cell(
         crack_instances=len(marks),
         dark_area_share=dark_share,
         mean_intensity=float(tile.mean(dtype=np.float64)),
-        crack_score=float(highest.mean(dtype=np.float64)),
+        crack_score=score,
         crack_branches=sum(map(len, lines)),
         crack_length_mm=float("nan") if cell_width_mm is None else float(length * cell_width_mm),
         largest_dark_share=largest_dark,
-        isolated_area_share=isolated,
+        isolated_area_share=cut_off,
         isolated_brightness=brightness,
-        crack_support=_support_on(support, marks),
+        crack_support=support_on(support, marks),
         unsupported_share=unsupported,
         unsure=unsure,
+        weak_marks=bool(marks) and not by_hand and weak,
+        novelty=novelty,
     )
-
-
-def _unsupported_share(chains: list[NDArray[np.float64]], support: NDArray[np.float32]) -> float:
-    """Share of the length of chains that lies on unsupported pixels; of all pixels if it is 0."""
-    low = support < UNSUPPORTED
-    total = sum(length_of(chain) for chain in chains)
-    if not total:
-        return float(low.mean())
-    bad = 0.0
-    for chain in chains:
-        middle = np.rint((chain[1:] + chain[:-1]) / 2).astype(int)
-        y, x = np.clip(middle, 0, np.array(low.shape) - 1).T
-        bad += float(np.hypot(*np.diff(chain, axis=0).T)[low[y, x]].sum())
-    return bad / total
-
-
-def _support_on(support: NDArray[np.float32] | None, marks: list[NDArray[np.bool_]]) -> float:
-    if support is None:
-        return float("nan")
-    seen = support[np.logical_or.reduce(marks)] if marks else support
-    return float(seen.mean(dtype=np.float64))
-
-
-def _isolated(
-    tile: NDArray[np.float32], marks: list[NDArray[np.bool_]], busbars: Busbars | None
-) -> tuple[float, float]:
-    """Share of the cell that would be cut off, and its brightness relative to the rest."""
-    if busbars is None:
-        return float("nan"), float("nan")
-    if not marks:
-        return 0.0, float("nan")
-    share = isolated_share(np.logical_or.reduce(marks), busbars)
-    cut = share == 1
-    border = max(round(_BORDER_CELLS * max(tile.shape)), 1)
-    inside = np.zeros(tile.shape, bool)
-    inside[border:-border, border:-border] = True
-    cut &= inside
-    lines = busbars.lines[:, None] if busbars.horizontal else busbars.lines[None]
-    rest = (share == 0) & ~lines & inside
-    known = bool(cut.any() and rest.any())
-    brightness = tile[cut].mean() / max(float(tile[rest].mean()), 1e-9) if known else math.nan
-    return float(share.mean(dtype=np.float64)), float(brightness)
-
-
-def _dark_shares(
-    tile: NDArray[np.float32], usual: float, cell_width_px: float
-) -> tuple[float, float]:
-    """Shares of the cell: all broad dark areas, and the largest connected one."""
-    border = max(round(_BORDER_CELLS * cell_width_px), 1)
-    inside = tile[border:-border, border:-border]
-    if not inside.size:
-        return 0.0, 0.0
-    dark = (inside < _DARK_LEVEL * usual).astype(np.uint8)
-    size = 2 * (round(_DARK_MIN_WIDTH_CELLS * cell_width_px) // 2) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-    broad = cv2.morphologyEx(dark, cv2.MORPH_OPEN, disc)
-    areas = cv2.connectedComponentsWithStats(broad, connectivity=8)[2][1:, cv2.CC_STAT_AREA]
-    return float(broad.mean()), float(areas.max(initial=0) / broad.size)

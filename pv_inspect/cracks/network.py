@@ -115,7 +115,7 @@ class CrackModel:
             stored.sha256,
             stored.calibration.slope,
             stored.calibration.offset,
-            OperatingPoint(point.threshold, point.least_extent_cells),
+            OperatingPoint(**point.model_dump()),
         )
         classes = stored.classes
         if classes != CLASSES:
@@ -137,6 +137,8 @@ class _Point(Record):
 
     threshold: Annotated[float, Field(strict=True, ge=0, le=1)]
     least_extent_cells: Annotated[float, Field(strict=True, ge=0, le=10)]
+    least_length_cells: Annotated[float, Field(strict=True, ge=0, le=10)] = 0.0
+    least_score: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
 
 
 class _About(Record):

@@ -213,6 +213,8 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
         busbars=busbars,
         cell_width_mm=settings.cell_width_mm,
         least_extent_cells=point.least_extent_cells,
+        least_length_cells=point.least_length_cells,
+        least_score=point.least_score,
     )
     return PlainCell(path.stem, probability, features)
 

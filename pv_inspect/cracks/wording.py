@@ -15,6 +15,7 @@ __all__ = [
     "described",
     "length_text",
     "tooltip",
+    "undecidable_because",
 ]
 
 # What the class with the id "unsure" is called: "unsure" is a verdict that an expert gives.
@@ -29,7 +30,9 @@ B                what the cracks would cut off is 0.4 to 0.8 times as bright as 
                  connected
 C                it is less than 0.4 times as bright as the rest: cut off
 unknown          cracks, but no busbars were found
-{_UNDECIDABLE}  the frames did not earn the answer: without the cracks of which at least half lies
+{_UNDECIDABLE}  the marks are too short or too faint for a class, or the cell looks unlike all
+                 that the detector has learnt, or
+                 the frames did not earn the answer: without the cracks of which at least half lies
                  on pixels with a support under {UNSUPPORTED:g} the class would be another one, or
                  there is no crack and at least half of the cell has such pixels ("unsure" in
                  cells.csv, verdicts.csv and result.json)
@@ -41,7 +44,7 @@ CLASS_WORDS = {
     "B": "cracks, a part is badly connected",
     "A": "cracks, all parts are connected",
     "unknown": "cracks, but no busbars were found",
-    "unsure": "not supported by the frames",
+    "unsure": "left open",
     "dark": "cracks are not judged",
     "none": "no cracks",
 }
@@ -57,6 +60,15 @@ def length_text(cell: CellFeatures) -> str:
     if math.isnan(cell.crack_length_mm):
         return f"{cell.crack_length_cells:.2f} cell widths"
     return f"{cell.crack_length_mm:.0f} mm"
+
+
+def undecidable_because(cell: CellFeatures) -> str:
+    """Return why a cell can't be judged."""
+    if cell.unfamiliar:
+        return "looks unlike all that the detector has learnt"
+    if cell.weak_marks:
+        return "marks too short or too faint for a crack"
+    return "not supported by the frames"
 
 
 def class_text(cell: CellFeatures) -> str:
@@ -88,6 +100,7 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
     """
     kind = CLASS_WORDS[cell.crack_class]
     if cell.undecidable:
+        kind = undecidable_because(cell)
         kind += f"; {cell.marked_class} if the marks are right" if cell.has_marks else "; no marks"
     name = _UNDECIDABLE if cell.undecidable else cell.crack_class
     pairs = [("class", f"{name} ({kind})")]
@@ -107,6 +120,8 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
         ("mean brightness", f"{cell.mean_intensity:.1%} of full scale"),
         ("crack score", f"{cell.crack_score:.2f} of 1"),
     ]
+    if not math.isnan(cell.novelty):
+        pairs.append(("novelty of its look", f"{cell.novelty:.2f}, from 1 on it can't be judged"))
     if not math.isnan(cell.unsupported_share):
         where = "crack length" if cell.has_marks else "cell"
         supported = "yes" if cell.supported else "no"

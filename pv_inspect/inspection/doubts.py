@@ -209,10 +209,11 @@ def _blindness(inspection: Inspection) -> str:
     counts = inspection.need(CrackMap).counts
     if counts.judged or not counts.total:
         return ""
-    todo = (
-        "take sharper or more frames with small movements between them"
-        if counts.undecidable
-        else "check that current flows through the module"
-    )
+    if counts.unfamiliar > counts.total // 2:
+        todo = "look at the cells yourself, or try the detector 'ridge'"
+    elif counts.undecidable:
+        todo = "take sharper or more frames with small movements between them"
+    else:
+        todo = "check that current flows through the module"
     unjudged = counts.unjudged_text
     return f"{unjudged}, so that cells without marks may be cracked all the same: {todo}."

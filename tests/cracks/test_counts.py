@@ -79,3 +79,15 @@ def test_suspected_cells_are_looked_at_before_longer_marks_that_cant_be_judged()
     one, two, three = SUSPECTED, BLIND_WITH_MARKS, BLIND
     assert two.crack_length_cells > one.crack_length_cells
     assert look_at_first([CLEAN, DARK, three, two, one]) == [one, two, three, DARK, CLEAN]
+
+
+def test_why_cells_cant_be_judged_is_told() -> None:
+    weak = cell(crack_instances=1, crack_length_cells=0.01, weak_marks=True)
+    strange = cell(crack_instances=40, crack_length_cells=9.0, novelty=1.7)
+    counts = CellCounts.of([weak, strange, strange, BLIND, CLEAN])
+    assert (counts.suspected, counts.unfamiliar, counts.weak) == (0, 2, 1)
+    assert counts.text == (
+        "4 of 5 cells can't be judged (2 unlike all that the detector has learnt, "
+        "1 with marks too short or too faint for a crack, 1 not supported by the frames); "
+        "cracks suspected in 0, 1 clean"
+    )

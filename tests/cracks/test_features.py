@@ -289,3 +289,50 @@ def test_support_is_that_of_the_marks_or_of_the_cell() -> None:
     clean = measure_cell(tile, np.zeros_like(tile), 0.5, support=support, **arguments)
     assert clean.crack_support == pytest.approx(float(support.mean()))
     assert np.isnan(measured(mask).crack_support)
+
+
+def weighed(mask: np.ndarray, **arguments: object) -> CellFeatures:
+    tile = np.full(mask.shape, 0.5, np.float32)
+    place = {"row": 0, "col": 0, "cell_width_px": SIDE, "usual_intensity": 0.5}
+    probability = mask.astype(np.float32) * np.float32(0.9)
+    return measure_cell(tile, probability, 0.5, **place, **arguments)  # type: ignore[arg-type]
+
+
+def test_marks_that_are_too_short_give_no_class() -> None:
+    mask = drawn(((20, 20), (36, 20)), ((20, 100), (36, 100)))
+    strict, lenient = (
+        weighed(mask, least_extent_cells=0.02, least_length_cells=least) for least in (0.15, 0.02)
+    )
+    assert strict.weak_marks
+    assert (strict.crack_class, strict.marked_class) == ("unsure", "unknown")
+    assert not strict.crack_suspected
+    assert not lenient.weak_marks
+    assert lenient.crack_suspected
+
+
+def test_marks_of_a_cell_with_a_low_score_give_no_class() -> None:
+    mask = drawn(((20, 20), (120, 20)))
+    assert weighed(mask, least_score=0.95).crack_class == "unsure"
+    assert weighed(mask, least_score=0.85).crack_class == "unknown"
+
+
+def test_marks_without_length_never_give_a_class() -> None:
+    mask = np.zeros((SIDE, SIDE), bool)
+    mask[0, :2] = True  # twice as long as wide, but its centre line is thinned to nothing
+    cell = weighed(mask, least_extent_cells=0.0)
+    assert cell.has_marks
+    assert cell.crack_length_cells == 0
+    assert cell.crack_class == "unsure"
+
+
+def test_what_a_person_has_marked_is_never_too_weak() -> None:
+    mask = drawn(((20, 20), (30, 20)))
+    cell = weighed(mask, marks=[mask], least_length_cells=0.5, least_score=0.99)
+    assert not cell.weak_marks
+    assert cell.crack_suspected
+
+
+def test_a_cell_of_an_unknown_look_cant_be_judged_with_or_without_marks() -> None:
+    for mask in (np.zeros((SIDE, SIDE), bool), drawn(((20, 20), (120, 20)))):
+        assert weighed(mask, novelty=1.2).crack_class == "unsure"
+        assert weighed(mask, novelty=0.8).crack_class != "unsure"

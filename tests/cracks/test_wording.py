@@ -69,3 +69,11 @@ def test_unsure_is_the_word_of_an_expert_and_never_the_detectors() -> None:
 def test_a_tooltip_begins_with_the_place() -> None:
     assert tooltip(CELL).splitlines()[0] == "Row 1, column 4"
     assert len(tooltip(CELL).splitlines()) == 1 + len(described(CELL))
+
+
+def test_the_reason_why_a_cell_cant_be_judged_is_in_its_description() -> None:
+    weak = dict(described(replace(CELL, weak_marks=True)))
+    strange = dict(described(replace(CELL, novelty=1.5)))
+    assert "too short or too faint" in weak["class"]
+    assert "unlike all that the detector has learnt" in strange["class"]
+    assert strange["novelty of its look"].startswith("1.50")
