@@ -4,6 +4,7 @@
         [--elpv ELPV]                                          cells of other cameras
         [--disjoint NETWORK]                                   a model trained with --split modules
         [--reliability FILE]                                   writes the table of docs/
+        [--model NETWORK]                                      this one in place of all of ours
     python benchmarks/cracks.py sequences RESULTS SEQUENCES SCORER
         [--only D2 ...] [--detectors network ...]
         [--unseen CELLS]                                       only cells that are not in train/
@@ -284,6 +285,8 @@ def reliability_table(cells: list[LabelledCell], detector: CrackDetector) -> str
 def cells_command(options: argparse.Namespace) -> None:
     """Labelled cells, foreign cells, drawn truth, speed."""
     found, val = detectors(), read_labelled(options.cells / "val")
+    if options.model:
+        found = {"network": NetworkDetector(options.model)}
     print(*labelled_rows(val, found), sep="\n")
     if options.disjoint:
         everything = [*read_labelled(options.cells / "train"), *val]
@@ -335,7 +338,7 @@ def main() -> None:
     commands = parser.add_subparsers(required=True)
     cells = commands.add_parser("cells", help=cells_command.__doc__)
     cells.add_argument("cells", type=Path)
-    for name in ("elpv", "disjoint", "reliability"):
+    for name in ("elpv", "disjoint", "reliability", "model"):
         cells.add_argument(f"--{name}", type=Path)
     cells.set_defaults(call=cells_command)
     sequences = commands.add_parser("sequences", help=sequences_command.__doc__)

@@ -38,6 +38,7 @@ __all__ = [
     "CellState",
     "CrackDetector",
     "CrackMap",
+    "LooksKnown",
     "NetworkDetector",
     "Operated",
     "OperatingPoint",
@@ -46,6 +47,7 @@ __all__ = [
     "detector_of",
     "look_at_first",
     "measure_cell",
+    "novelty_of",
     "operating_point_of",
     "read_cracks",
     "state_of",
@@ -81,6 +83,14 @@ class BusbarFinder(Protocol):
 
     def read(self, tile: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return crack probability and busbar probability of every pixel of a tile."""
+
+
+@runtime_checkable
+class LooksKnown(Protocol):
+    """A detector that can say how far a cell is from those that it has learnt from."""
+
+    def novelty(self, tile: NDArray[np.float32]) -> float:
+        """Return that distance; from 1 on its answer can't be relied on, NaN if it is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +140,11 @@ def operating_point_of(detector: CrackDetector, settings: Settings) -> Operating
     return own if threshold is None else replace(own, threshold=threshold)
 
 
+def novelty_of(detector: CrackDetector, tile: NDArray[np.float32]) -> float:
+    """How far the look of a cell is from what a detector has learnt; NaN if it does not say."""
+    return detector.novelty(tile) if isinstance(detector, LooksKnown) else float("nan")
+
+
 def read_cracks(
     tiles: CellTiles, settings: Settings, detector: CrackDetector | None = None
 ) -> Generator[Progress, None, CrackMap]:
@@ -162,6 +177,7 @@ def read_cracks(
     rows, cols = images.shape[:2]
     usual = float(np.median(images))
     maps = np.zeros_like(images, dtype=np.float32)
+    novelty = np.full((rows, cols), np.nan)
     bars = np.zeros(images.shape[2:], np.float32)
     for n, (row, col) in enumerate(np.ndindex(rows, cols), start=1):
         tile = _lifted(images[row, col], usual)
@@ -171,6 +187,7 @@ def read_cracks(
         else:
             probability = detector.probability(tile)
         maps[row, col] = np.clip(probability, 0.0, 1.0)
+        novelty[row, col] = novelty_of(detector, tile)
         yield Progress(n / (rows * cols), "looking for cracks")
     # All cells of a module have the same busbars: together they show them better than one by one.
     if isinstance(detector, BusbarFinder):
@@ -191,6 +208,7 @@ def read_cracks(
             least_extent_cells=point.least_extent_cells,
             least_length_cells=point.least_length_cells,
             least_score=point.least_score,
+            novelty=float(novelty[row, col]),
             support=None if tiles.support is None else tiles.support[row, col],
         )
         for row, col in np.ndindex(rows, cols)

@@ -23,6 +23,7 @@ from pv_inspect.common.records import Number, Record, Text, checked, json_from, 
 from pv_inspect.cracks.classes import BUSBAR, CLASSES, CRACK
 from pv_inspect.cracks.features import OperatingPoint
 from pv_inspect.cracks.foreign_network import NetworkApart
+from pv_inspect.cracks.looks import KnownLooks
 from pv_inspect.errors import InspectionError
 
 __all__ = ["CELL_PX", "MODELS", "CrackModel", "NetworkDetector", "normalised"]
@@ -71,6 +72,8 @@ class CrackModel:
         Calibration: log odds = ``slope`` * (log odds of the network) + ``offset``.
     operating_point : OperatingPoint
         With calibrated probability.
+    looks : KnownLooks, optional
+        Of the cells that it was trained on.
     """
 
     path: Path
@@ -79,6 +82,7 @@ class CrackModel:
     slope: float
     offset: float
     operating_point: OperatingPoint
+    looks: KnownLooks | None = None
 
     @classmethod
     def read(cls, path: Path) -> CrackModel:
@@ -103,6 +107,7 @@ class CrackModel:
                 )
         try:
             stored = checked(_About, json_from(read_text(about, _MOST_ABOUT_BYTES)))
+            looks = None if stored.looks is None else stored.looks.known()
         except (OSError, ValueError) as error:
             raise InspectionError(
                 f"{about} is no description of a crack model ({error}): train the model again or "
@@ -116,6 +121,7 @@ class CrackModel:
             stored.calibration.slope,
             stored.calibration.offset,
             OperatingPoint(**point.model_dump()),
+            looks,
         )
         classes = stored.classes
         if classes != CLASSES:
@@ -141,12 +147,29 @@ class _Point(Record):
     least_score: Annotated[float, Field(strict=True, ge=0, le=1)] = 0.0
 
 
+class _Looks(Record):
+    mean: tuple[Number, ...]
+    whitening: tuple[tuple[Number, ...], ...]
+    limit: Annotated[float, Field(strict=True, gt=0)]
+
+    def known(self) -> KnownLooks:
+        """As the program uses it.
+
+        Raises
+        ------
+        ValueError
+            If the numbers are not as many as a look has.
+        """
+        return KnownLooks(np.array(self.mean), np.array(self.whitening), self.limit)
+
+
 class _About(Record):
     name: Text
     sha256: Text
     classes: tuple[Text, ...]
     calibration: _Calibration
     operating_point: _Point
+    looks: _Looks | None = None
 
 
 class NetworkDetector:
@@ -177,6 +200,22 @@ class NetworkDetector:
     def operating_point(self) -> OperatingPoint:
         """Where the model finds at least 95 % of the cells with cracks (see the model card)."""
         return self._model.operating_point
+
+    def novelty(self, tile: Image) -> float:
+        """How far the look of a cell is from the cells that the network was trained on.
+
+        Parameters
+        ----------
+        tile : (h, w) float32
+            One cell, any size and brightness scale.
+
+        Returns
+        -------
+        float
+            From 1 on the answer can't be relied on; NaN if the description does not say.
+        """
+        looks = self._model.looks
+        return float("nan") if looks is None or not np.ptp(tile) > 0 else looks.novelty(tile)
 
     def probability(self, tile: Image) -> Image:
         """Return the crack probability of every pixel of a cell.

@@ -13,7 +13,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from pv_inspect.common.csv_tables import csv_text
-from pv_inspect.cracks import BusbarFinder, CrackDetector, operating_point_of
+from pv_inspect.cracks import BusbarFinder, CrackDetector, novelty_of, operating_point_of
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.cracks.module_pictures import module_in
@@ -215,6 +215,7 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
         least_extent_cells=point.least_extent_cells,
         least_length_cells=point.least_length_cells,
         least_score=point.least_score,
+        novelty=novelty_of(detector, image),
     )
     return PlainCell(path.stem, probability, features)
 

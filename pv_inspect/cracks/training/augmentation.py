@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cracks.classes import CRACK
 from pv_inspect.cracks.network import CELL_PX, normalised
+from pv_inspect.cracks.training.diversified import Diversity, with_fingers, with_other_metal
 
 __all__ = ["Augmentation", "prepared"]
 
@@ -29,9 +30,12 @@ class Augmentation:
     degrade : bool
         Blur, coarser sampling, noise, brightness and cut corners; without it cells are only
         turned, flipped and moved a little.
+    diversity : Diversity, optional
+        Cells of other makers; without it they keep their own metallisation.
     """
 
     degrade: bool = True
+    diversity: Diversity | None = None
 
     def __call__(self, image: Label, label: Label, rng: np.random.Generator) -> tuple[Image, Label]:
         """Draw one version of a cell.
@@ -48,7 +52,12 @@ class Augmentation:
             Input of the network, `normalised`.
         label : (h, w) uint8
         """
-        seen, label = _moved(_array(image) / np.float32(255), label, rng)
+        seen = _array(image) / np.float32(255)
+        if self.diversity is not None:
+            seen, label = with_other_metal(seen, label, rng, self.diversity)
+        seen, label = _moved(seen, label, rng)
+        if self.diversity is not None and rng.random() < self.diversity.fingers:
+            seen = with_fingers(seen, label, rng)
         if self.degrade:
             seen, label = _corners_cut(seen, label, rng)
             seen = _exposed(_coarser(_lit(seen, rng), rng), rng)

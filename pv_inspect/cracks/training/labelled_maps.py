@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cracks.classes import CRACK
-from pv_inspect.cracks.features import OperatingPoint, crack_marks
+from pv_inspect.cracks.features import OperatingPoint, measure_cell
 from pv_inspect.cracks.training.augmentation import Augmentation, prepared
 from pv_inspect.cracks.training.labelled import LabelledCell
 from pv_inspect.cracks.training.scores import pixel_score
@@ -17,11 +18,14 @@ from pv_inspect.cracks.training.scores import pixel_score
 if TYPE_CHECKING:
     from pv_inspect.cracks import CrackDetector
 
-__all__ = ["alarms", "as_they_are", "degraded", "operating_point"]
+__all__ = ["alarms", "as_they_are", "degraded", "evidence", "operating_point"]
 
 # Operating points that are tried: probability, and cell widths.
 _THRESHOLDS = (0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 _EXTENTS = (0.02, 0.025, 0.03, 0.035, 0.04, 0.05, 0.06, 0.08, 0.1, 0.15)
+# Evidence that is tried: crack score, and cell widths.
+_SCORES = (0.0, 0.3, 0.4, 0.5, 0.6, 0.7)
+_LENGTHS = (0.0, 0.02, 0.03, 0.04)
 
 Pair = tuple[NDArray[np.float32], NDArray[np.bool_]]
 
@@ -77,6 +81,49 @@ def operating_point(pairs: Sequence[Pair], recall: float = 0.95) -> OperatingPoi
     return min(points, key=cost)
 
 
+def evidence(
+    pairs: Sequence[Pair], point: OperatingPoint, *, recall_lost: float = 0.035
+) -> OperatingPoint:
+    """Add the evidence that a class needs to an operating point.
+
+    Parameters
+    ----------
+    pairs : sequence of (probability, mask)
+        One per cell.
+    point : OperatingPoint
+    recall_lost : float
+        Share of the cracked cells that may lose their class ("can't be judged") by it.
+
+    Returns
+    -------
+    OperatingPoint
+        Of the bounds with the fewest alarms in clean cells the lowest score, then the shortest
+        length.
+    """
+    found = alarms(pairs, point)[0]
+    tried = [
+        replace(point, least_length_cells=length, least_score=score)
+        for score in _SCORES
+        for length in _LENGTHS
+    ]
+    rated = [(candidate, *alarms(pairs, candidate)) for candidate in tried]
+    allowed = [(false, c) for c, recall, false in rated if recall >= found - recall_lost - 1e-9]
+    return min(
+        allowed, key=lambda one: (round(one[0], 4), one[1].least_score, one[1].least_length_cells)
+    )[1]
+
+
 def _suspected(probability: NDArray[np.float32], point: OperatingPoint) -> bool:
-    width = float(probability.shape[1])
-    return bool(crack_marks(probability, point.threshold, width, point.least_extent_cells))
+    cell = measure_cell(
+        np.ones_like(probability),
+        probability,
+        point.threshold,
+        row=0,
+        col=0,
+        cell_width_px=float(probability.shape[1]),
+        usual_intensity=1.0,
+        least_extent_cells=point.least_extent_cells,
+        least_length_cells=point.least_length_cells,
+        least_score=point.least_score,
+    )
+    return cell.crack_suspected

@@ -3,7 +3,20 @@
     python -m pv_inspect.cracks.training.train CELLS OUT [--split modules] [--sharp]
 
 By default train/ and val/ are as given; ``--split modules`` leaves no module in both parts,
-``--sharp`` leaves the degradation of the cells out.
+``--sharp`` leaves the degradation of the cells out, ``--own-metal`` the cells of other makers.
+
+On a machine with a GPU, in minutes, and then what needs none, wherever this is installed::
+
+    python -m pv_inspect.cracks.training.train CELLS OUT --weights-only --device cuda
+        --processes 14 --batch 16 --steps 1000000 --minutes 6.5 --judge-every 6000
+    python -m pv_inspect.cracks.training.train CELLS OUT --from-state OUT/state.pt --name NAME
+
+The second line exports network.onnx, calibrates it, chooses the operating point and the evidence
+that a class needs, measures the looks that were learnt, and writes all that beside it.
+``python benchmarks/crack_looks.py CELLS --models default OUT/network.onnx`` compares cells of other
+makers, ``python benchmarks/cracks.py cells CELLS --elpv ELPV --model OUT/network.onnx`` the others.
+To make it the default, copy both files to ``pv_inspect/cracks/models/default.*`` and put the
+SHA-256 into ``pv_inspect/cracks/network.py``.
 
 CELLS holds train/ and val/, each with img/ and ann/ (see
 `pv_inspect.cracks.training.labelled`). OUT gets network.onnx with its description network.json,
@@ -27,8 +40,7 @@ import hashlib
 import json
 import sys
 import warnings
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -41,54 +53,26 @@ from torch import nn
 from torch.nn import functional
 
 from pv_inspect.cracks.classes import CLASSES, CRACK
+from pv_inspect.cracks.looks import KnownLooks
 from pv_inspect.cracks.network import CELL_PX, NetworkDetector, normalised
-from pv_inspect.cracks.training.augmentation import Augmentation, prepared
+from pv_inspect.cracks.training.augmentation import prepared
+from pv_inspect.cracks.training.feeding import Recipe, many_batches
+from pv_inspect.cracks.training.known_looks import known_looks, stored_looks
 from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled, split_modules
-from pv_inspect.cracks.training.labelled_maps import as_they_are, degraded, operating_point
+from pv_inspect.cracks.training.labelled_maps import (
+    as_they_are,
+    degraded,
+    evidence,
+    operating_point,
+)
 from pv_inspect.cracks.training.reliability import fit_calibration
 from pv_inspect.cracks.training.scores import pixel_score
 
-__all__ = ["CRACKED_PX", "CrackNet", "Recipe", "describe", "probabilities", "train", "write_onnx"]
+__all__ = ["CrackNet", "describe", "probabilities", "train", "write_onnx"]
 
 _CHANNELS = (16, 32, 64, 96)
 # Weights of the cross entropy, in the order of CLASSES: rare classes count more.
 _CLASS_WEIGHTS = (1.0, 2.0, 6.0, 4.0, 1.0)
-# A cell with fewer crack pixels counts as one without.
-CRACKED_PX = 40
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """How the network is trained.
-
-    Parameters
-    ----------
-    steps : int
-        Batches; the learning rate falls to 0 over them as a cosine.
-    batch : int
-        Cells per batch.
-    learning_rate, weight_decay : float
-        Of AdamW.
-    averaging : float
-        Weight of the past in the moving average of the weights, per step.
-    cracked_share : float
-        Share of the drawn cells that have cracks.
-    half_cut_share : float
-        Share of the batches that are cut into halves of cells.
-    degrade : bool
-        See `Augmentation`.
-    seed : int
-    """
-
-    steps: int = 6000
-    batch: int = 8
-    learning_rate: float = 3e-3
-    weight_decay: float = 1e-3
-    averaging: float = 0.995
-    cracked_share: float = 0.55
-    half_cut_share: float = 0.2
-    degrade: bool = True
-    seed: int = 0
 
 
 def convolution(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
@@ -141,64 +125,24 @@ class _WithSoftmax(nn.Module):
 
 def loss_of(logits: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
     """Weighted cross entropy plus 1 - Dice of the cracks over the whole batch."""
-    entropy = functional.cross_entropy(logits, label, torch.tensor(_CLASS_WEIGHTS))
+    entropy = functional.cross_entropy(
+        logits, label, torch.tensor(_CLASS_WEIGHTS, device=logits.device)
+    )
     p, t = torch.softmax(logits, 1)[:, CRACK], (label == CRACK).float()
     dice = (2 * (p * t).sum() + 1) / (p.sum() + t.sum() + 1)
     return entropy + 1 - dice
-
-
-def batches(
-    cells: list[LabelledCell], recipe: Recipe
-) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Draw batches without end: inputs (n, 1, h, w) and labels (n, h, w)."""
-    rng = np.random.default_rng(recipe.seed)
-    augment = Augmentation(recipe.degrade)
-    small = [prepared(cell.image, cell.label) for cell in cells]
-    cracked = np.array([int(cell.crack.sum()) >= CRACKED_PX for cell in cells])
-    pools = [np.flatnonzero(cracked), np.flatnonzero(~cracked)]
-    while True:
-        halves = recipe.degrade and rng.random() < recipe.half_cut_share
-        upright = rng.random() < 0.5
-        inputs, labels = [], []
-        for _ in range(recipe.batch * (2 if halves else 1)):
-            pool = pools[0] if rng.random() < recipe.cracked_share else pools[1]
-            image, label = small[int(rng.choice(pool))]
-            if halves:
-                image, label = _half(image, label, rng)
-            seen, classes = augment(image, label, rng)
-            if halves and (seen.shape[0] > seen.shape[1]) != upright:
-                seen, classes = np.rot90(seen), np.rot90(classes)
-            inputs.append(np.ascontiguousarray(seen))
-            labels.append(np.ascontiguousarray(classes))
-        yield (
-            torch.from_numpy(np.stack(inputs)[:, None]),
-            torch.from_numpy(np.stack(labels).astype(np.int64)),
-        )
-
-
-def _half(
-    image: NDArray[np.uint8], label: NDArray[np.uint8], rng: np.random.Generator
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """One half of a cell, cut along or across the busbars."""
-    if rng.random() < 0.5:
-        image, label = image.T, label.T
-    n = image.shape[0] // 2
-    start = int(rng.integers(2)) * n
-    return (
-        np.ascontiguousarray(image[start : start + n]),
-        np.ascontiguousarray(label[start : start + n]),
-    )
 
 
 @torch.no_grad()
 def probabilities(net: nn.Module, cells: list[LabelledCell]) -> list[NDArray[np.float32]]:
     """Crack probability of every pixel of cells, at the size of their images."""
     net.eval()
+    device = next(net.parameters()).device
     maps = []
     for cell in cells:
         image, _ = prepared(cell.image, cell.label)
-        x = torch.from_numpy(normalised(np.asarray(image, np.float32)))[None, None]
-        p = torch.softmax(net(x), 1)[0, CRACK].numpy()
+        x = torch.from_numpy(normalised(np.asarray(image, np.float32)))[None, None].to(device)
+        p = torch.softmax(net(x), 1)[0, CRACK].cpu().numpy()
         maps.append(np.asarray(cv2.resize(p, cell.image.shape[::-1]), np.float32))
     return maps
 
@@ -209,6 +153,10 @@ def train(
     out: Path,
     recipe: Recipe,
     judge_every: int = 600,
+    *,
+    device: str = "cpu",
+    processes: int = 0,
+    minutes: float | None = None,
 ) -> CrackNet:
     """Train a network.
 
@@ -221,66 +169,84 @@ def train(
     recipe : Recipe
     judge_every : int
         Steps from one line of the log to the next.
+    device : str
+        As torch names it.
+    processes : int
+        That draw the batches; 0 to draw them in this one.
+    minutes : float, optional
+        The training ends when this time is over, if that is before the last step; the learning
+        rate follows the time. Not reproducible.
 
     Returns
     -------
     CrackNet
-        With the averaged weights.
+        With the averaged weights, on the CPU.
     """
     torch.manual_seed(recipe.seed)
-    net, averaged = (CrackNet().to(memory_format=torch.channels_last) for _ in range(2))
+    net, averaged = (CrackNet().to(device, memory_format=torch.channels_last) for _ in range(2))
     averaged.load_state_dict(net.state_dict())
     optimiser = torch.optim.AdamW(
         net.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
     )
-    warm_up = max(recipe.steps // 20, 1)
+    warm_up = max(recipe.steps // 20, 1) if minutes is None else 500
     out.mkdir(parents=True, exist_ok=True)
-    log, total, begun = [], 0.0, (perf_counter(), process_time())
-    for step, (inputs, labels) in zip(
-        range(1, recipe.steps + 1), batches(cells, recipe), strict=False
-    ):
-        share = (step - 1) / recipe.steps
-        rate = recipe.learning_rate * min(step / warm_up, 1.0) * 0.5 * (1 + np.cos(np.pi * share))
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        net.train()
-        optimiser.zero_grad()
-        loss = loss_of(net(inputs), labels)
-        loss.backward()
-        optimiser.step()
-        _average(averaged, net, min(recipe.averaging, (1 + step) / (10 + step)))
-        total += float(loss.detach())
-        if step % judge_every == 0 or step == recipe.steps:
-            maps = probabilities(averaged, judged)
-            score = pixel_score((p, c.crack) for p, c in zip(maps, judged, strict=True))
-            log.append(
-                {
-                    "step": step,
-                    "loss": round(total / ((step - 1) % judge_every + 1), 4),
-                    "crack_ap": round(score.ap, 4),
-                    "crack_f1": round(score.f1, 4),
-                    "level": round(score.level, 3),
-                    "cpu_s": round(process_time() - begun[1]),
-                    "wall_s": round(perf_counter() - begun[0]),
-                }
+    log: list[dict[str, float]] = []
+    total, counted, begun = torch.zeros((), device=device), 0, (perf_counter(), process_time())
+    with many_batches(cells, recipe, processes) as drawn:
+        for step, (inputs, labels) in zip(range(1, recipe.steps + 1), drawn, strict=False):
+            past = 0.0 if minutes is None else (perf_counter() - begun[0]) / (60 * minutes)
+            share = min(max((step - 1) / recipe.steps, past), 1.0)
+            last = step == recipe.steps or past >= 1
+            rate = (
+                recipe.learning_rate * min(step / warm_up, 1.0) * 0.5 * (1 + np.cos(np.pi * share))
             )
-            total = 0.0
-            with (out / "log.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, list(log[0]))
-                writer.writeheader()
-                writer.writerows(log)
-            torch.save(averaged.state_dict(), out / "state.pt")
-    return averaged
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+            net.train()
+            optimiser.zero_grad()
+            x = torch.from_numpy(inputs).to(device, non_blocking=True)
+            loss = loss_of(net(x), torch.from_numpy(labels).to(device, non_blocking=True).long())
+            loss.backward()
+            optimiser.step()
+            _average(averaged, net, min(recipe.averaging, (1 + step) / (10 + step)))
+            total += loss.detach()
+            counted += 1
+            if step % judge_every == 0 or last:
+                figures = {"step": step, "loss": round(float(total) / counted, 4)}
+                if judged:
+                    maps = probabilities(averaged, judged)
+                    score = pixel_score((p, c.crack) for p, c in zip(maps, judged, strict=True))
+                    figures |= {
+                        "crack_ap": round(score.ap, 4),
+                        "crack_f1": round(score.f1, 4),
+                        "level": round(score.level, 3),
+                    }
+                figures["cpu_s"] = round(process_time() - begun[1])
+                figures["wall_s"] = round(perf_counter() - begun[0])
+                log.append(figures)
+                total, counted = torch.zeros((), device=device), 0
+                _write_log(out / "log.csv", log)
+                torch.save(averaged.state_dict(), out / "state.pt")
+            if last:
+                break
+    return averaged.to("cpu")
+
+
+def _write_log(path: Path, log: list[dict[str, float]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(log[0]))
+        writer.writeheader()
+        writer.writerows(log)
 
 
 @torch.no_grad()
 def _average(averaged: nn.Module, net: nn.Module, past: float) -> None:
     now = net.state_dict()
-    for name, value in averaged.state_dict().items():
-        if value.dtype.is_floating_point:
-            value.mul_(past).add_(now[name], alpha=1 - past)
-        else:
-            value.copy_(now[name])
+    values = averaged.state_dict()
+    real = [name for name, value in values.items() if value.dtype.is_floating_point]
+    torch._foreach_lerp_([values[n] for n in real], [now[n] for n in real], 1 - past)  # at once
+    for name in values.keys() - set(real):
+        values[name].copy_(now[name])
 
 
 def write_onnx(net: nn.Module, path: Path) -> None:
@@ -308,7 +274,13 @@ def export(net: nn.Module, path: Path) -> None:
         )
 
 
-def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0) -> None:
+def describe(
+    network: Path,
+    name: str,
+    judged: list[LabelledCell],
+    seed: int = 0,
+    looks: KnownLooks | None = None,
+) -> None:
     """Calibrate a network, choose its operating point, and write the description beside it.
 
     Half of the pixels that the calibration is fitted to are of cells as they are, half of cells
@@ -324,6 +296,8 @@ def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0
         Cells that the network has not learnt from.
     seed : int
         For the degradation.
+    looks : KnownLooks, optional
+        Of the cells that it has learnt from.
     """
     about: dict[str, Any] = {
         "name": name,
@@ -332,6 +306,8 @@ def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0
         "calibration": {"slope": 1.0, "offset": 0.0},
         "operating_point": {"threshold": 0.5, "least_extent_cells": 0.05},
     }
+    if looks is not None:
+        about["looks"] = stored_looks(looks)
     path = network.with_suffix(".json")
     path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     detector = NetworkDetector(network)
@@ -340,7 +316,7 @@ def describe(network: Path, name: str, judged: list[LabelledCell], seed: int = 0
     about["calibration"] = {"slope": round(slope, 5), "offset": round(offset, 5)}
     path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     maps = list(as_they_are(NetworkDetector(network), judged))
-    point = operating_point(maps)
+    point = evidence(maps, operating_point(maps))
     about["operating_point"] = asdict(point)
     path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
@@ -352,22 +328,56 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--split", choices=("given", "modules"), default="given")
     parser.add_argument("--sharp", action="store_true", help="no degradation of the cells")
+    parser.add_argument("--own-metal", action="store_true", help="no cells of other makers")
     parser.add_argument("--steps", type=int, default=Recipe.steps)
+    parser.add_argument("--batch", type=int, default=Recipe.batch)
     parser.add_argument("--seed", type=int, default=Recipe.seed)
     parser.add_argument("--name", default="network trained on own cells", help="for reports")
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--device", default="cpu", help="as torch names it, cuda for instance")
+    parser.add_argument("--processes", type=int, default=0, help="that draw the batches")
+    parser.add_argument("--minutes", type=float, help="end the training after this time")
+    parser.add_argument("--judge-every", type=int, default=600, metavar="STEPS")
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--weights-only", action="store_true", help="write state.pt and log.csv only")
+    part.add_argument("--from-state", type=Path, help="do not train: export and describe these")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
+    torch.backends.cudnn.benchmark = True
     cells = read_labelled(options.cells / "train")
     judged = read_labelled(options.cells / "val")
     if options.split == "modules":
         cells, judged = split_modules([*cells, *judged])
     sys.stderr.write(f"{len(cells)} cells to learn from, {len(judged)} to judge with\n")
-    recipe = Recipe(steps=options.steps, degrade=not options.sharp, seed=options.seed)
-    net = train(cells, judged, options.out, recipe)
+    recipe = Recipe(
+        steps=options.steps,
+        batch=options.batch,
+        degrade=not options.sharp,
+        diverse=not (options.sharp or options.own_metal),
+        seed=options.seed,
+    )
+    if options.from_state:
+        net = CrackNet()
+        net.load_state_dict(torch.load(options.from_state, map_location="cpu", weights_only=True))
+        options.out.mkdir(parents=True, exist_ok=True)
+    else:
+        net = train(
+            cells,
+            judged,
+            options.out,
+            recipe,
+            options.judge_every,
+            device=options.device,
+            processes=options.processes,
+            minutes=options.minutes,
+        )
+    if options.weights_only:
+        return
     write_onnx(net, options.out / "network.onnx")
-    kind = "sharp cells only" if options.sharp else "degraded cells"
-    describe(options.out / "network.onnx", f"{options.name}, {kind}", judged)
+    kind = "degraded cells of several kinds" if recipe.diverse else "degraded cells"
+    kind = kind if recipe.degrade else "sharp cells only"
+    looks = known_looks(cells, judged, recipe)
+    describe(options.out / "network.onnx", f"{options.name}, {kind}", judged, looks=looks)
 
 
 if __name__ == "__main__":

@@ -33,10 +33,11 @@ from torch.nn import functional
 from pv_inspect.cracks.classes import CLASSES, CRACK
 from pv_inspect.cracks.network import NetworkDetector, normalised
 from pv_inspect.cracks.training.augmentation import Augmentation, prepared
+from pv_inspect.cracks.training.feeding import CRACKED_PX
 from pv_inspect.cracks.training.labelled import LabelledCell, read_labelled
 from pv_inspect.cracks.training.labelled_maps import as_they_are
 from pv_inspect.cracks.training.scores import coarse_score, roc_auc
-from pv_inspect.cracks.training.train import CRACKED_PX, convolution, export
+from pv_inspect.cracks.training.train import convolution, export
 
 __all__ = ["WeakNet", "train_weak"]
 
