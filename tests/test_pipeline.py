@@ -219,7 +219,24 @@ def test_closing_the_run_closes_the_stage_at_work(stages: Stages, stage: str) ->
 
 def test_rejected_frames_are_named_with_their_reason(stages: Stages) -> None:
     result = inspect(SEQUENCE)
-    assert result.warnings == (f"frame_1 & <i>.tif is not used: {REASON}.",)
+    assert result.warnings[1:] == (f"frame_1 & <i>.tif is not used: {REASON}.",)
+
+
+def test_frames_that_stand_still_are_called_no_super_resolution(stages: Stages) -> None:
+    still = inspect(SEQUENCE).warnings[0]
+    assert still.startswith("The 2 frames show the module in the same place: ")
+    assert "not a super-resolution" in still
+    two = made_registration()
+    two.homographies[2, :2, 2] += 0.005  # half a pixel
+    stages.registration = two
+    few = inspect(SEQUENCE).warnings[0]
+    assert few.startswith("The 2 frames stand in too few different places between the pixels: ")
+    many = made_registration(30)
+    many.homographies[:, :2, 2] += np.random.default_rng(0).uniform(0, 0.02, (30, 2))
+    stages.crossings, stages.registration = made_crossings(30), many
+    names = tuple(f"{k}.tif" for k in range(30))
+    result = inspect(FakeSequence(names))  # type: ignore[arg-type]
+    assert [text[:20] for text in result.warnings] == ["1.tif is not used: n"]
 
 
 def test_frames_that_do_not_fit_together_put_the_result_in_doubt(stages: Stages) -> None:

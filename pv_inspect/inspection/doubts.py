@@ -12,6 +12,7 @@ from pv_inspect.geometry.pose import Pose
 from pv_inspect.inspection.figures import known_median
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.reconstruction.sampling import FEW, STILL, sampling_of
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.copies import copies_sentence
 
@@ -80,11 +81,8 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         )
     if inspection.gaps_found:
         found.append(_seen_gaps(layout))
-    if used == 1:
-        total = len(registration.used)
-        which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
-        found.append(f"{which}: the result is a rectified single frame, not a super-resolution.")
     sentences = (
+        _no_super_resolution(registration, sequence.shape),
         copies_sentence(sequence.copies, sequence.names),
         quarter_turn_sentence(registration),
     )
@@ -96,6 +94,28 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         )
     found += [sentence for sentence in (_over_fit(inspection), _unfinished(inspection)) if sentence]
     return (*found, *(not_used_sentence(*frame) for frame in left_out(inspection)))
+
+
+def _no_super_resolution(registration: Registration, shape: tuple[int, int]) -> str:
+    """Say if the frames together show no more than one of them."""
+    used, total = int(registration.used.sum()), len(registration.used)
+    if used == 1:
+        which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
+        return f"{which}: the result is a rectified single frame, not a super-resolution."
+    sampling = sampling_of(registration, shape)
+    if sampling < STILL:
+        return (
+            f"The {used} frames show the module in the same place: the result is a rectified "
+            "frame with less noise, not a super-resolution. Move the camera a little from frame to "
+            "frame."
+        )
+    if sampling < FEW:
+        return (
+            f"The {used} frames stand in too few different places between the pixels: the result "
+            "shows little more detail than one frame. Take more frames with small movements "
+            "between them."
+        )
+    return ""
 
 
 def _seen_gaps(layout: ModuleLayout) -> str:

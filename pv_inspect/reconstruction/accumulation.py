@@ -7,7 +7,7 @@ into no common stencil, keep their positions.
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,56 @@ from pv_inspect.reconstruction.consistency import Consistency
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
-__all__ = ["Accumulation"]
+__all__ = ["Accumulation", "Extremes"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+
+# Light is not negative. What is darker than black is noise, or a black level that is too high: a
+# module image is allowed as much of it as the frames show, down to this (full scale = 1).
+_DARKEST = -0.05
+# An HR pixel may be brighter than the mean over the LR pixel that it lies in.
+_BRIGHTER = 1.1
+
+
+@dataclass(eq=False)
+class Extremes:
+    """The darkest and the brightest pixel of the frames that have entered.
+
+    Parameters
+    ----------
+    darkest, brightest : float
+        On the module's intensity scale.
+    """
+
+    darkest: float = 0.0
+    brightest: float = 0.0
+
+    def add(self, g: Image, weights: Image) -> None:
+        """Look at one frame; pixels of weight 0 don't count."""
+        valid = g[weights > 0]
+        if valid.size:
+            self.darkest = min(self.darkest, float(valid.min()))
+            self.brightest = max(self.brightest, float(valid.max()))
+
+    def limit(self, image: Image) -> Image:
+        """Return a module image without values that no module can have.
+
+        Parameters
+        ----------
+        image : (height, width) float32
+
+        Returns
+        -------
+        (height, width) float32
+            Nothing is darker than the darkest pixel of the frames (below 0, and down to -0.05), or
+            more than 1.1 times as bright as the brightest: a defect of the sensor that was not
+            found, or too sharp a PSF, leaves such values.
+        """
+        if not self.brightest > 0.0:
+            return image
+        low = np.float32(max(self.darkest, _DARKEST))
+        return np.clip(image, low, np.float32(_BRIGHTER * self.brightest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +88,8 @@ class Accumulation:
         The sensor's part in the intensities; an ideal sensor if not given.
     blurred : (height, width) float32, optional
         B f of an earlier image f of the module: pixels that contradict it get Huber weights.
+    extremes : Extremes
+        Of the frames that have entered.
     """
 
     sequence: FrameSequence
@@ -50,6 +98,7 @@ class Accumulation:
     equations: NormalEquations
     photometry: Photometry | None = None
     blurred: Image | None = None
+    extremes: Extremes = field(default_factory=Extremes)
 
     @classmethod
     def begin(
@@ -85,6 +134,7 @@ class Accumulation:
             predicted = self.equations.model.frame(H, motion).sample(self.blurred)
             weights = huber_weights(g, np.asarray(predicted, np.float32), weights)
         self.equations.add(H, g, weights, motion)
+        self.extremes.add(g, weights)
         return g, weights
 
     def compare(self, image: Image) -> Generator[float, None, tuple[Image, Array]]:

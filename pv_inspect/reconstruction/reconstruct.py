@@ -29,6 +29,7 @@ from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.prior_weight import (
     Trial,
     choose_prior_weight,
+    typical_prior_weight,
     windows_of,
 )
 from pv_inspect.reconstruction.psf_estimation import (
@@ -37,6 +38,7 @@ from pv_inspect.reconstruction.psf_estimation import (
     window_of,
 )
 from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
+from pv_inspect.reconstruction.sampling import between, of_more_than_one, sampling_of
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.reconstruction.support import FAINT, support_of
@@ -72,7 +74,9 @@ def reconstruct(
     registration : Registration
     settings : Settings
         ``magnification``, ``prior``, ``prior_weight`` and ``psf_sigma_lr_px`` (both estimated if
-        None), ``motion_blur``, ``second_pass`` and ``max_iterations`` count here.
+        None, as far as the frames can say them: see
+        `pv_inspect.reconstruction.sampling`), ``motion_blur``, ``second_pass`` and
+        ``max_iterations`` count here.
 
     Yields
     ------
@@ -110,17 +114,25 @@ def reconstruct(
         photometry, draft = yield from _draft(first, used, settings)
         del first
         release()
+    sampling = sampling_of(registration, sequence.shape)
     sigma = settings.psf_sigma_lr_px
     if sigma is None:
-        sigma = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
+        sigma = TYPICAL_SIGMA_LR_PX
+        if sampling:
+            found = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
+            sigma = between(sigma, found, sampling)
     data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, draft)
-    windows = windows_of(grid) if settings.prior_weight is None else []
+    windows = windows_of(grid) if settings.prior_weight is None and sampling else []
     trials = yield from _all_added(data, used, windows, 0.4, 0.5)
     _need_pixels(data)
     start = first_guess(data.equations) if draft is None else draft
     weight, curve = settings.prior_weight, NO_CURVE
     if weight is None:
-        weight, curve = yield from _choose_prior_weight(registration, trials, sigma, settings.prior)
+        weight = typical_prior_weight(settings.prior)
+        if windows:
+            chosen = _choose_prior_weight(registration, trials, sigma, settings.prior)
+            found, curve = yield from chosen
+            weight = between(weight, found, sampling)
     del trials  # of hundreds of frames more than the module image itself
     release()
     made = yield from solve(data, start, weight, settings)
@@ -162,12 +174,13 @@ def solve(
         return Progress(0.6 + 0.3 * share, f"solving, step {state.iterations}, {told}", now)
 
     solution = yield from forwarded(solver, solving)
-    image = np.asarray(solution.image, np.float32)
+    image = data.extremes.limit(np.asarray(solution.image, np.float32))
     faint = np.float32(FAINT * problem.brightness)
     support = yield from forwarded(
         support_of(equations, lambda detail: problem.majoriser(image + faint * detail)),
         lambda share: Progress(0.9 + 0.05 * share, "measuring the support by the frames", image),
     )
+    support *= np.float32(of_more_than_one(sampling_of(data.registration, data.sequence.shape)))
     consistency, residual_rms = yield from forwarded(
         data.compare(image),
         lambda share: Progress(0.95 + 0.05 * share, "comparing the frames with the result", image),

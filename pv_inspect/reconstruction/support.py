@@ -95,7 +95,9 @@ def support_of(
     With the probe z and what arrives of it, u, the support is the local regression coefficient of
     u on z, ``G * (z u) / G * z^2`` with a Gaussian window G. ``(A + L(u)) u = A z`` is solved in
     rounds of conjugate gradients, L first with all of z. Frames that all stand in the same place
-    reach about 0.1: one sample per LR pixel tells a part of the band from what it aliases to.
+    reach about 0.1: one sample per LR pixel tells a part of the band from what it aliases to. The
+    support of a module image is without it, see
+    `pv_inspect.reconstruction.sampling.of_more_than_one`.
     """
     shape = equations.model.grid.shape
     magnification = equations.model.grid.magnification

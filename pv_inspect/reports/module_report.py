@@ -21,6 +21,7 @@ from pv_inspect.inspection.figures import median_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.reconstruction import Reconstruction
+from pv_inspect.reconstruction.sampling import sampling_of
 from pv_inspect.registration.registration import Registration
 from pv_inspect.reports.pictures import contrast_of, crack_mask, grey, jpeg_url, overlay_url, shrunk
 from pv_inspect.reports.templates import rendered
@@ -204,6 +205,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     registration, reconstruction = inspection.need(Registration), inspection.need(Reconstruction)
     layout, camera = inspection.layout, registration.camera
     used = values_in_use(inspection.settings, registration, reconstruction)
+    sampling = sampling_of(registration, inspection.frames.shape)
     hint = inspection.frames.layout_hint
     source = {
         name: "guessed from the frames"
@@ -224,8 +226,8 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "flat_frame": "none",
         "kappa": f"{used.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",
-        "psf_sigma_lr_px": f"{used.psf_sigma_lr_px:.2f}, estimated",
-        "prior_weight": f"{used.prior_weight:.3g}, chosen",
+        "psf_sigma_lr_px": f"{used.psf_sigma_lr_px:.2f}, {_found(sampling, 'estimated')}",
+        "prior_weight": f"{used.prior_weight:.3g}, {_found(sampling, 'chosen')}",
     }
     rows = []
     for name, about in Settings.model_fields.items():
@@ -244,6 +246,13 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
             }
         )
     return rows
+
+
+def _found(sampling: float, word: str) -> str:
+    """Say where a value is from that the frames determine with this sampling."""
+    if sampling >= 1.0:
+        return word
+    return "partly the usual value" if sampling else "the usual value"
 
 
 def _boxes(cells: tuple[CellFeatures, ...], grid: HrGrid, scale: float) -> list[_Box]:

@@ -300,6 +300,11 @@ class Sensor:
         self._hot = ~self._dead & (lottery < settings.dead_share + settings.hot_share)
         self._hot_e = rng.uniform(0.5, 1.5, shape) * settings.full_well_e
 
+    @property
+    def defects(self) -> NDArray[np.bool_]:
+        """Hot and dead pixels, (height, width)."""
+        return self._hot | self._dead
+
     def digitise(
         self, radiance: Image, gain: float, rng: np.random.Generator
     ) -> NDArray[np.uint16]:

@@ -7,7 +7,7 @@ import numpy as np
 from pv_inspect.common.work import result_of
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
-from pv_inspect.reconstruction.accumulation import Accumulation
+from pv_inspect.reconstruction.accumulation import Accumulation, Extremes
 from pv_inspect.reconstruction.reconstruct import reconstruct, solve
 from pv_inspect.reconstruction.solver import first_guess
 from pv_inspect.registration.registration import Registration
@@ -94,3 +94,13 @@ def test_an_insect_in_one_frame_leaves_no_trace_after_the_second_pass() -> None:
     )
     harm, left = (float(np.abs(r.image - clean.image).max()) for r in (once, robust))
     assert left < 0.5 * harm
+
+
+def test_no_value_is_beyond_what_the_frames_can_show() -> None:
+    extremes = Extremes()
+    image = np.array([[-1.4, -0.01, 0.3, 1.2]], np.float32)
+    np.testing.assert_array_equal(extremes.limit(image), image)
+    extremes.add(np.array([[-0.02, 0.5, 9.0]], np.float32), np.array([[1, 1, 0]], np.float32))
+    np.testing.assert_allclose(extremes.limit(image), [[-0.02, -0.01, 0.3, 0.55]], atol=1e-6)
+    extremes.add(np.array([[-0.4]], np.float32), np.ones((1, 1), np.float32))
+    assert extremes.limit(image).min() == np.float32(-0.05)

@@ -172,6 +172,19 @@ def test_extremes_are_found_in_a_single_frame() -> None:
     assert np.argwhere(defective_pixels(stack, FULL_SCALE)).tolist() == [[40, 40], [60, 90]]
 
 
+def test_extremes_on_lines_and_edges_are_found_in_a_single_frame() -> None:
+    """A busbar and the border of a cell carry a part of the deviation to the neighbours."""
+    rng = np.random.default_rng(6)
+    light = np.full(SHAPE, 1600.0)
+    light[40] = light[:, 80] = 900.0
+    light[:, 120:] = 300.0
+    frame = rng.normal(cv2.GaussianBlur(light, (0, 0), 0.6), 8.0).astype(np.uint16)
+    bad = [(20, 119), (40, 30), (60, 80), (90, 120)]
+    for k, at in enumerate(bad):
+        frame[at] = 0 if k % 2 == 0 else 4095
+    assert np.argwhere(defective_pixels(frame[None], FULL_SCALE)).tolist() == [list(a) for a in bad]
+
+
 def test_two_hot_neighbours_are_both_found() -> None:
     stack = textured_stack(8, 2.3)
     stack[:, 50, 50:52] = 3900

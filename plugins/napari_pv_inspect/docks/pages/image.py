@@ -75,6 +75,8 @@ class ImageBox(QGroupBox):
             self.plot.show_curve((), None, self._model.frames_gone or NEEDS_A_RUN)
         elif inspection.settings.prior != settings.prior:
             self.plot.show_curve((), None, "Run again for the curve of this prior.")
+        elif not made.lambda_curve and inspection.settings.prior_weight is None:
+            self.plot.show_curve((), None, "The frames of the last run don't determine lambda.")
         elif not made.lambda_curve:
             self.plot.show_curve((), None, "The last run was given lambda: there is no curve.")
         else:
