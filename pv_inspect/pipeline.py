@@ -99,6 +99,7 @@ def inspect_steps(
         Complete.
     """
     settings = settings if settings is not None else Settings()
+    _check_lock_in(sequence, settings)
     begun = perf_counter()
     kept = start if start is not None and start.sequence is sequence else None
     with explained_errors(Stage.DETECT.value):
@@ -147,6 +148,15 @@ def inspect_steps(
     return replace(state, warnings=warnings_of(state), doubts=doubts_of(state))
 
 
+def _check_lock_in(sequence: FrameSequence, settings: Settings) -> None:
+    """Refuse frames that were opened in another way than the settings want them."""
+    if settings.lock_in not in (None, sequence.lock_in is not None):
+        raise InspectionError(
+            f"The settings want lock_in = {settings.lock_in}, but the frames were opened without "
+            "that: give it to open_sequence as well."
+        )
+
+
 class _Known(NamedTuple):
     """The layout of a run: whether it was guessed, and whether its wide gaps were seen."""
 
@@ -172,7 +182,7 @@ def _layout(sequence: FrameSequence, settings: Settings, start: Inspection | Non
 
 def _detect(state: Inspection) -> Generator[Progress, None, Crossings]:
     sequence, settings = state.frames, state.settings
-    frame = sequence.frame(0).image
+    frame = sequence.frame(sequence.measured[0]).image
     need_memory(frame, len(sequence), state.layout, settings.magnification)
     return (yield from detect(sequence, state.layout, settings.module_at))
 

@@ -86,8 +86,14 @@ def run(
         cleanup.written_so_far = place.so_far
         use_threads(threads)
         begun = perf_counter()
-        references = settings.dark_frame, settings.flat_frame
-        opened = FrameSequence.open(sequence, *references, settings.read_limits, settings.series)
+        opened = FrameSequence.open(
+            sequence,
+            settings.dark_frame,
+            settings.flat_frame,
+            settings.read_limits,
+            settings.series,
+            settings.lock_in,
+        )
         wanted = [] if settings.module_of is None else [settings.module_of]
         opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part

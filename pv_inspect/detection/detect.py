@@ -37,7 +37,6 @@ from pv_inspect.detection.single_frame import (
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
-from pv_inspect.sequence.copies import copy_reasons
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["detect"]
@@ -102,11 +101,12 @@ def detect(
         search = detect(reduced.as_sequence(), layout, reduced.point(inside))
         return (yield from enlarged(search, factor))
     count = len(sequence)
-    copied = copy_reasons(sequence.copies, sequence.names)
+    no_measurements = sequence.no_measurements
     found: dict[int, Found] = {}
     reasons: dict[int, OutlineError] = {}
     point = inside
-    order = [k for k in (_spread(count) if inside is None else range(count)) if k not in copied]
+    wished = _spread(count) if inside is None else range(count)
+    order = [k for k in wished if k not in no_measurements]
     while order and not (not found and _hopeless(reasons)):
         # A point goes with the module from frame to frame.
         together = PROBED_TOGETHER if not found else 2 * numba.get_num_threads()
@@ -152,7 +152,7 @@ def detect(
         tuple(
             found[index][1]
             if index in found
-            else FrameCrossings.failed(layout, copied.get(index) or str(reasons[index]))
+            else FrameCrossings.failed(layout, no_measurements.get(index) or str(reasons[index]))
             for index in range(count)
         ),
     )
@@ -314,9 +314,14 @@ def _nothing_found(
             f"--rows {seen.rows} --cols {seen.cols}{aspect}."
         )
     if len(reasons) > 1 and {str(error) for error in reasons.values()} == {RUNS_OVER}:
+        by_day = (
+            " By daylight, with the current switched between the frames, give --lock-in."
+            if sequence.lock_in is None
+            else ""
+        )
         return (
             f"No frame shows a module of {module}: in all {len(reasons)} {RUNS_OVER}; at least "
-            "one frame must show the whole module."
+            f"one frame must show the whole module.{by_day}"
         )
     return (
         f"No frame shows a module of {module} ({sequence.names[first]}: {reasons[first]}): check "

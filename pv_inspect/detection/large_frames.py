@@ -56,7 +56,9 @@ def reduction(sequence: FrameSequence | ReducedFrames, layout: ModuleLayout | No
         return 1
     if layout is None:
         return max(side // _USUAL_SIDE_PX, 1)
-    cell = min(expected_grid(sequence.frame(0).image, layout, 1.0).pixels_per_cell)
+    cell = min(
+        expected_grid(sequence.frame(sequence.measured[0]).image, layout, 1.0).pixels_per_cell
+    )
     return max(min(round(cell / _CELL_PX), side // _LEAST_SIDE_PX), 1)
 
 

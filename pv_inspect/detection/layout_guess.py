@@ -131,7 +131,7 @@ def guess_layout(
         sequence, inside = reduced.as_sequence(), reduced.point(inside)
     views: list[View] = []
     reason = "no frame"
-    distinct = [index for index in range(len(sequence)) if index not in sequence.copies]
+    distinct = sequence.measured
     picks = np.linspace(0, len(distinct) - 1, min(len(distinct), 2 * MAX_FRAMES)).round()
     for index in (distinct[int(pick)] for pick in np.unique(picks)):
         if len(views) == MAX_FRAMES:

@@ -99,7 +99,7 @@ def layout_with_gaps(
     if factor > 1:
         reduced = ReducedFrames(sequence, factor)
         return layout_with_gaps(reduced.as_sequence(), layout, reduced.point(inside))
-    distinct = [index for index in range(len(sequence)) if index not in sequence.copies]
+    distinct = sequence.measured
     picks = np.linspace(0, len(distinct) - 1, min(len(distinct), TRIED_FRAMES)).round().astype(int)
     chosen = [distinct[pick] for pick in picks] if inside is None else distinct[:1]
     images = [sequence.frame(index).image for index in chosen]

@@ -15,6 +15,7 @@ from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.reconstruction.sampling import FEW, STILL, sampling_of
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.copies import copies_sentence
+from pv_inspect.sequence.lock_in import lock_in_sentence
 
 __all__ = [
     "CONTRADICTION",
@@ -83,6 +84,7 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         found.append(_seen_gaps(layout))
     sentences = (
         _no_super_resolution(registration, sequence.shape),
+        lock_in_sentence(sequence.lock_in, confirm=inspection.settings.lock_in is None),
         copies_sentence(sequence.copies, sequence.names),
         quarter_turn_sentence(registration),
     )
@@ -134,7 +136,9 @@ def _seen_gaps(layout: ModuleLayout) -> str:
 
 
 def left_out(inspection: Inspection) -> tuple[tuple[str, str], ...]:
-    """Return every frame that is not used, but for copies: one warning tells of all of them.
+    """Return every frame that is not used, but for those that one warning tells of together.
+
+    These are copies, and by daylight the frames without current.
 
     Parameters
     ----------
@@ -147,10 +151,11 @@ def left_out(inspection: Inspection) -> tuple[tuple[str, str], ...]:
         Name and reason.
     """
     registration = inspection.need(Registration)
-    copies = inspection.sequence.copies if inspection.sequence is not None else ()
+    sequence = inspection.sequence
+    told = set() if sequence is None else {*sequence.copies, *sequence.without_current}
     frames = zip(inspection.names, registration.used, registration.why, strict=True)
     return tuple(
-        (name, why) for k, (name, ok, why) in enumerate(frames) if not ok and k not in copies
+        (name, why) for k, (name, ok, why) in enumerate(frames) if not ok and k not in told
     )
 
 

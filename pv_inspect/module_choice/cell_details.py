@@ -113,7 +113,9 @@ def _details_of(
     if not seen.any():
         return CellDetails(np.zeros(shape), seen, np.zeros(shape[:2]))
     mean = max(float(np.median(values[seen])), 1e-6)
-    sigma = sequence.noise.sigma(values.mean(axis=(2, 3)))
+    added = frame.added_variance
+    more = None if added is None else _sampled(added, pixels).mean(axis=(2, 3))
+    sigma = sequence.noise.sigma(values.mean(axis=(2, 3)), more)
     # White noise after a Gaussian: sigma^2 / (4 pi s^2).
     noise = np.where(seen, np.square(sigma / mean) / (4 * np.pi * blur**2), 0.0)
     # Medians first: dark cells would move the mean of all others.

@@ -119,7 +119,9 @@ def observed(
     around = ready.image[top : rows.stop + _REACH, left : cols.stop + _REACH]
     smooth = cv2.GaussianBlur(around, (2 * _REACH + 1, 2 * _REACH + 1), _SMOOTH_LR_PX)
     smooth = smooth[rows.start - top :, cols.start - left :][: g.shape[0], : g.shape[1]]
-    weights = np.square(scale / sequence.noise.sigma(smooth))
+    added = ready.added_variance
+    sigma = sequence.noise.sigma(smooth, None if added is None else added[rows, cols])
+    weights = np.square(scale / sigma)
     weights[~ready.valid[rows, cols]] = 0.0
     return (g / scale).astype(np.float32), weights.astype(np.float32)
 

@@ -265,7 +265,7 @@ def _with_photometry(
     lost = []
     for index in np.flatnonzero(state.used):
         frame = sequence.frame(int(index))
-        precision = sequence.noise.precision(frame.image, frame.valid)
+        precision = sequence.noise.precision(frame.image, frame.valid, frame.added_variance)
         try:
             to_grid = np.asarray(np.linalg.inv(state.homographies[index] @ grid.matrix), np.float64)
         except np.linalg.LinAlgError:

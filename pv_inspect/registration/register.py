@@ -25,7 +25,6 @@ from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
 from pv_inspect.registration.module_mean import blur, detail_correlation, indices, module_mean
 from pv_inspect.registration.registration import Registration, normalised, unregistered
 from pv_inspect.registration.straightening import straighten
-from pv_inspect.sequence.copies import copy_reasons
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
@@ -147,7 +146,7 @@ def register(
             done += 1
             if state.used[index]:
                 frame = sequence.frame(index)
-                precision = sequence.noise.precision(frame.image, frame.valid)
+                precision = sequence.noise.precision(frame.image, frame.valid, frame.added_variance)
                 try:
                     (homographies[index], gain[index], offset[index], rms[index]) = _align(
                         blur(frame.image, plan.blur_lr_px),
@@ -231,9 +230,9 @@ def _rays(camera: Camera, shape: tuple[int, int]) -> Array:
 
 
 def left_out(sequence: FrameSequence, settings: Settings) -> dict[int, str]:
-    """Say why frames are not used whatever they show: copies, and what the user does not want."""
+    """Say why frames are not used whatever they show: no measurements, or not wanted."""
     skipped = dict.fromkeys(sequence.indices(settings.skip_frames), LEFT_OUT)
-    return copy_reasons(sequence.copies, sequence.names) | skipped
+    return sequence.no_measurements | skipped
 
 
 def _without(state: Registration, reasons: dict[int, str]) -> Registration:

@@ -223,6 +223,9 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "col_gaps": gap_text(layout.col_gaps) + gaps,
         "cell_gap": f"{layout.cell_gap[0]:.3g}{gaps}",
         "dark_frame": "none",
+        "lock_in": "no, nothing was switched"
+        if inspection.frames.lock_in is None
+        else "yes, found in the frames",
         "flat_frame": "none",
         "kappa": f"{used.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",

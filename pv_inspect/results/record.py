@@ -68,6 +68,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "vignetting": None if photometry is None else vars(photometry.vignetting),
         "layout_guessed": inspection.layout_guessed,
         "gaps_found": inspection.gaps_found,
+        "lock_in": inspection.frames.lock_in is not None,
         "crack_detector": cracks.detector,
         "crack_threshold": cracks.threshold,
         "crack_least_extent_cells": cracks.least_extent_cells,

@@ -169,6 +169,7 @@ class ResultRecord(StoredRecord):
     vignetting: VignettingRecord | None = None
     layout_guessed: bool = False
     gaps_found: bool = False
+    lock_in: bool = False
     seconds: dict[str, Number]
     warnings: list[Text]
     doubts: tuple[Text, ...] = ()

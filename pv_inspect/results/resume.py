@@ -48,6 +48,8 @@ def reopen(result: Inspection) -> FrameSequence:
         result.settings.flat_frame,
         result.settings.read_limits,
         result.settings.series,
+        # As it was found then, whatever is found now.
+        bool(stored.record["lock_in"]),
     )
     if opened.names != stored.names:
         raise InspectionError(

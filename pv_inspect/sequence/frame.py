@@ -25,10 +25,14 @@ class Frame:
         said. Read-only.
     valid : (height, width) bool
         False: saturated, hot, dead, or without a value. Read-only.
+    added_variance : (height, width) float32 or None
+        Of a difference of frames: variance beyond what the noise model says of ``image``, full
+        scale squared. Read-only.
     """
 
     image: NDArray[np.float32]
     valid: NDArray[np.bool_]
+    added_variance: NDArray[np.float32] | None = None
 
 
 def prepared(

@@ -46,22 +46,26 @@ class NoiseModel:
     shot_gain: float
     grain_px: int = 1
 
-    def sigma(self, image: NDArray[Any]) -> Image:
+    def sigma(self, image: NDArray[Any], added: NDArray[Any] | None = None) -> Image:
         """Return the standard deviation of the noise at every intensity of ``image``.
 
         Parameters
         ----------
         image : array of any shape, full scale = 1
+        added : array of the same shape, optional
+            Variance beyond that of the image, ``Frame.added_variance``.
 
         Returns
         -------
         float32 array of the same shape, full scale = 1
         """
         variance = self.read_variance + self.shot_gain * np.maximum(image, 0.0)
+        if added is not None:
+            variance = variance + added
         sigma: Image = np.sqrt(variance).astype(np.float32)
         return sigma
 
-    def precision(self, image: Image, valid: Mask) -> Image:
+    def precision(self, image: Image, valid: Mask, added: Image | None = None) -> Image:
         """Return 1 / variance of the pixels of a frame for its registration.
 
         Parameters
@@ -70,6 +74,8 @@ class NoiseModel:
             Full scale = 1. The variance follows the light, not a pixel's own noise: it is read off
             the smoothed image.
         valid : (height, width) bool
+        added : (height, width) float32, optional
+            Variance beyond that of the image, ``Frame.added_variance``.
 
         Returns
         -------
@@ -83,7 +89,7 @@ class NoiseModel:
         1 px that end after 4, so that a part of a frame has the weights of the whole. All results
         so far rest on the one or the other.
         """
-        sigma = self.sigma(cv2.GaussianBlur(image, (0, 0), _SMOOTH_LR_PX))
+        sigma = self.sigma(cv2.GaussianBlur(image, (0, 0), _SMOOTH_LR_PX), added)
         return np.where(valid, 1.0 / np.square(sigma), 0.0).astype(np.float32)
 
 

@@ -6,21 +6,39 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.jpeg_loss import jpeg_error_variance
 from pv_inspect.image_files.limits import ReadLimits
 from pv_inspect.image_files.video import video_error_variance
 from pv_inspect.sequence.copies import FrameContents
+from pv_inspect.sequence.frame import Frame, prepared
 from pv_inspect.sequence.frame_files import FrameFile, expand, read_frame, read_tinted
 from pv_inspect.sequence.frame_list import existing_image
+from pv_inspect.sequence.modulation import LevelPictures
 from pv_inspect.sequence.noise import NoiseModel
-from pv_inspect.sequence.sensor import temporal_median
+from pv_inspect.sequence.sensor import (
+    black_level,
+    column_offsets,
+    defective_pixels,
+    flat_field,
+    temporal_median,
+)
 from pv_inspect.sequence.values import Raw, ValueScale, ValueSurvey, comparable
 
-__all__ = ["DecodedFrames", "check_frames", "read_reference", "reference_dn", "with_compression"]
+__all__ = [
+    "DecodedFrames",
+    "SensorState",
+    "check_frames",
+    "read_reference",
+    "reference_dn",
+    "sensor_of",
+    "with_compression",
+]
 
 _SMALLEST_SIDE_PX = 32
 # Frames that the loss of compression is estimated from.
@@ -69,8 +87,9 @@ def check_frames(
     names: tuple[str, ...],
     contents: FrameContents,
     decoded: DecodedFrames,
+    pictures: LevelPictures,
 ) -> tuple[tuple[int, int], ValueSurvey]:
-    """Decode every frame once, into contents; return their shape and what their values are."""
+    """Decode every frame once, into contents and pictures; return their shape and their values."""
     shape = Counter(file.shape for file in files).most_common(1)[0][0]
     kind = Counter(_kind(file) for file in files).most_common(1)[0][0]
     # What the headers say comes first: nothing is decoded in vain.
@@ -95,6 +114,7 @@ def check_frames(
         image = decoded[index]
         survey.add(image)
         contents.add(comparable(image))
+        pictures.add(image)
     if not np.isfinite(survey.maximum):
         raise InspectionError(
             f"{names[0]} and all other frames hold no number at all: export what the camera "
@@ -167,3 +187,71 @@ def reference_dn(raw: Raw, scale: ValueScale) -> Raw:
         return raw
     filled = scale.without_gaps(raw)[0]
     return (filled.astype(np.float64) * scale.factor).astype(np.float32)
+
+
+class SensorState(NamedTuple):
+    """What a sensor does to the numbers of all frames; DN.
+
+    Black per column or pixel, its typical level, defective pixels, relative response or None.
+    """
+
+    black: NDArray[np.float32]
+    level: float
+    defects: NDArray[np.bool_]
+    flat: NDArray[np.float32] | None
+
+    def prepared(self, raw: Raw, scale: ValueScale) -> Frame:
+        """Return a frame without that."""
+        return prepared(raw, self.black, self.level, scale, self.defects, self.flat)
+
+
+def sensor_of(
+    stack: Raw,
+    scale: ValueScale,
+    dark: tuple[Path, Raw] | None,
+    flat: tuple[Path, Raw] | None,
+) -> SensorState:
+    """Estimate what the sensor does, with the help of reference images where there are any.
+
+    Parameters
+    ----------
+    stack : (n_frames, height, width), DN
+        Some frames.
+    scale : ValueScale
+    dark, flat : (Path, Raw) or None
+        Reference images in stored values, with their names.
+
+    Raises
+    ------
+    InspectionError
+        If a reference image can't be one.
+    """
+    full_scale = scale.full_scale_dn
+    defects = defective_pixels(stack, full_scale)
+    if dark is None:
+        columns = column_offsets(stack, full_scale)
+        level = min(black_level(temporal_median(stack) - columns), 0.5 * full_scale)
+        black = columns + np.float32(level)
+    else:
+        of_dark = reference_dn(dark[1], scale)
+        black, level = of_dark.astype(np.float32), float(np.median(of_dark))
+        bright = float(np.percentile(temporal_median(stack), 99.0))
+        if level >= full_scale or level > bright:
+            raise InspectionError(
+                f"The dark frame {dark[0]} has a median of {level / scale.factor:g} DN and "
+                f"is brighter than the frames ({bright / scale.factor:g} DN): give the image "
+                "taken without current."
+            )
+        defects |= defective_pixels(of_dark[None], full_scale)
+    response = None
+    if flat is not None:
+        try:
+            response = flat_field(reference_dn(flat[1], scale), black, full_scale)
+        except ValueError as error:
+            raise InspectionError(
+                f"The flat frame {flat[0]} {error}: take an evenly bright surface that "
+                "fills the image, well exposed but not saturated."
+            ) from None
+        defects = defects | (response == 0.0)
+    defects.flags.writeable = False
+    return SensorState(black, level, defects, response)

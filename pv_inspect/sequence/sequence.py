@@ -6,6 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +17,20 @@ from pv_inspect.common.gap_text import NO_GAPS, WideGaps, gaps_from
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.limits import ReadLimits
-from pv_inspect.sequence.copies import FrameContents
+from pv_inspect.sequence.copies import FrameContents, copy_reasons
 from pv_inspect.sequence.file_warnings import said_of_frames
 from pv_inspect.sequence.frame import Frame, prepared
 from pv_inspect.sequence.frame_files import FrameFile, read_frame
 from pv_inspect.sequence.frame_list import list_frames
+from pv_inspect.sequence.lock_in import LockIn, lock_in_of
+from pv_inspect.sequence.modulation import LevelPictures
 from pv_inspect.sequence.noise import NoiseModel, estimate_noise
 from pv_inspect.sequence.opening import (
     DecodedFrames,
     check_frames,
     read_reference,
-    reference_dn,
+    sensor_of,
     with_compression,
-)
-from pv_inspect.sequence.sensor import (
-    black_level,
-    column_offsets,
-    defective_pixels,
-    flat_field,
-    temporal_median,
 )
 from pv_inspect.sequence.sidecar import read_sidecar
 from pv_inspect.sequence.values import Raw, ValueScale, comparable
@@ -124,6 +120,8 @@ class FrameSequence:
         measurements of their own: nothing is estimated from them.
     warnings : tuple of str
         What is worth knowing about the files.
+    lock_in : LockIn or None
+        By daylight: :meth:`frame` then returns differences of frames with and without current.
     """
 
     names: tuple[str, ...]
@@ -145,6 +143,7 @@ class FrameSequence:
     opened_from: Path | tuple[Path, ...] = ()
     copies: Mapping[int, int] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    lock_in: LockIn | None = None
 
     @classmethod
     def open(
@@ -154,6 +153,7 @@ class FrameSequence:
         flat_frame: Path | str | None = None,
         limits: ReadLimits | None = None,
         series: str | None = None,
+        lock_in: bool | None = None,
     ) -> FrameSequence:
         """Open frames and check all of them.
 
@@ -172,6 +172,9 @@ class FrameSequence:
         series : str, optional
             Name, or number from 1, of the pictures that are meant where a file holds several
             series of them.
+        lock_in : bool, optional
+            Whether the frames are taken by daylight with the current switched on and off, and
+            differences of them are wanted; found in the frames if not given.
 
         Raises
         ------
@@ -184,9 +187,9 @@ class FrameSequence:
         found = list_frames(source, limits, series)
         root, files, names = found.root, found.files, found.names
         hint = read_sidecar(root, list(found.paths))
-        contents = FrameContents()
+        contents, pictures = FrameContents(), LevelPictures()
         decoded = DecodedFrames(files, _SAMPLE_BYTES)
-        shape, survey = check_frames(files, names, contents, decoded)
+        shape, survey = check_frames(files, names, contents, decoded, pictures)
         copies = contents.copies(lambda index: comparable(decoded[index]))
         dtype = files[0].dtype
         dark_raw = flat_raw = None
@@ -207,60 +210,44 @@ class FrameSequence:
         picks = np.unique(np.linspace(0, len(distinct) - 1, n_picks).round())
         raws = [decoded[distinct[int(i)]] for i in picks]
         stack = np.stack([scale.dn(raw)[0] for raw in raws])
-        defects = defective_pixels(stack, full_scale)
-        if dark_raw is None:
-            columns = column_offsets(stack, full_scale)
-            level = min(black_level(temporal_median(stack) - columns), 0.5 * full_scale)
-            black = columns + np.float32(level)
-        else:
-            dark = reference_dn(dark_raw, scale)
-            black, level = dark.astype(np.float32), float(np.median(dark))
-            bright = float(np.percentile(temporal_median(stack), 99.0))
-            if level >= full_scale or level > bright:
-                raise InspectionError(
-                    f"The dark frame {dark_frame} has a median of {level / scale.factor:g} DN and "
-                    f"is brighter than the frames ({bright / scale.factor:g} DN): give the image "
-                    "taken without current."
-                )
-            defects |= defective_pixels(dark[None], full_scale)
-        defects.flags.writeable = False
-        flat = None
-        if flat_raw is not None:
-            try:
-                flat = flat_field(reference_dn(flat_raw, scale), black, full_scale)
-            except ValueError as error:
-                raise InspectionError(
-                    f"The flat frame {flat_frame} {error}: take an evenly bright surface that "
-                    "fills the image, well exposed but not saturated."
-                ) from None
-            defects = defects | (flat == 0.0)
-            defects.flags.writeable = False
-        frames = [
-            prepared(raw, black, level, scale, defects, flat)
-            for raw in raws[:: max(1, len(raws) // 8)]
-        ]
+        sensor = sensor_of(
+            stack,
+            scale,
+            None if dark_frame is None or dark_raw is None else (Path(dark_frame), dark_raw),
+            None if flat_frame is None or flat_raw is None else (Path(flat_frame), flat_raw),
+        )
+        frames = [sensor.prepared(raw, scale) for raw in raws[:: max(1, len(raws) // 8)]]
         noise = estimate_noise([f.image for f in frames], [f.valid for f in frames])
         noise = with_compression(noise, files, full_scale)
+        found_lock_in = lock_in_of(
+            pictures,
+            distinct,
+            lambda index: sensor.prepared(decoded[index], scale),
+            noise,
+            names,
+            lock_in,
+        )
         return cls(
             names,
             shape,
             scale.bit_depth,
             scale.full_scale,
-            level / scale.factor,
+            sensor.level / scale.factor,
             hint,
             root,
             noise,
-            defects,
+            sensor.defects,
             files,
-            black,
+            sensor.black,
             _FrameCache(cached_frames(len(names), shape)),
             scale,
-            flat,
+            sensor.flat,
             root.absolute()
             if isinstance(source, (str, Path))
             else tuple(path.absolute() for path in found.paths),
             copies,
             (*found.warnings, *said_of_frames(files, survey, scale, len(decoded.tinted))),
+            found_lock_in,
         )
 
     def __len__(self) -> int:
@@ -283,16 +270,35 @@ class FrameSequence:
         index %= len(self)
         frame = self._cache.get(index)
         if frame is None:
-            frame = prepared(
-                self.raw(index),
-                self._black,
-                self.black_level * self._scale.factor,
-                self._scale,
-                self.defects,
-                self._flat,
-            )
+            if self.lock_in is None:
+                frame = self._exposed(index)
+            else:
+                frame = self.lock_in.difference(index, self._exposed, self.noise)
             self._cache.put(index, frame)
         return frame
+
+    def _exposed(self, index: int) -> Frame:
+        level = self.black_level * self._scale.factor
+        return prepared(self.raw(index), self._black, level, self._scale, self.defects, self._flat)
+
+    @cached_property
+    def no_measurements(self) -> dict[int, str]:
+        """Frames that nothing is measured in whatever they show, with the reason.
+
+        Copies of others; by daylight the frames without current, and those without a partner.
+        """
+        reasons = copy_reasons(self.copies, self.names)
+        return reasons if self.lock_in is None else self.lock_in.dark_and_unused | reasons
+
+    @property
+    def without_current(self) -> frozenset[int]:
+        """By daylight, the frames that were subtracted from others."""
+        return frozenset() if self.lock_in is None else frozenset(self.lock_in.dark)
+
+    @property
+    def measured(self) -> list[int]:
+        """The frames that measure something."""
+        return [index for index in range(len(self)) if index not in self.no_measurements]
 
     def indices(self, names: Iterable[str]) -> list[int]:
         """Return the indices of frames given by name.
@@ -359,6 +365,7 @@ def open_sequence(
     flat_frame: Path | str | None = None,
     limits: ReadLimits | None = None,
     series: str | None = None,
+    lock_in: bool | None = None,
 ) -> FrameSequence:
     """Open frames and check all of them; `FrameSequence.open` says more.
 
@@ -372,6 +379,9 @@ def open_sequence(
         What is read at most.
     series : str, optional
         Which pictures are meant where a file holds several series of them: name, or number from 1.
+    lock_in : bool, optional
+        Whether the frames show the module by daylight, with and without current; found in them if
+        not given.
 
     Returns
     -------
@@ -382,4 +392,4 @@ def open_sequence(
     InspectionError
         If anything is missing, unreadable, of different sizes or of the wrong type.
     """
-    return FrameSequence.open(source, dark_frame, flat_frame, limits, series)
+    return FrameSequence.open(source, dark_frame, flat_frame, limits, series, lock_in)

@@ -107,6 +107,20 @@ class Settings(DeclaredModel):
         _reading("series", "name", automatic="the only one"),
         "Name or number (from 1) of the pictures that are meant where a file holds several series.",
     )
+    lock_in: bool | None = tunable(
+        None,
+        _reading(
+            "daylight lock-in",
+            option=("--lock-in/--no-lock-in",),
+            automatic="as the frames show",
+            choices={
+                "yes": ("Differences", "Frames with current minus the nearest ones without."),
+                "no": ("Frames as they are", "Whatever their levels do."),
+            },
+        ),
+        "The current is switched on and off between the frames, by daylight: differences of frames "
+        "with and without it are used. Found in the levels of the frames if not given.",
+    )
     max_frame_mpx: Finite = tunable(
         MAX_FRAME_MPX,
         _reading("largest frame", "Mpx", advanced=True),

@@ -28,6 +28,7 @@ OTHER_VALUES: dict[str, Any] = {
     "dark_frame": Path("dark.tif"),
     "flat_frame": Path("flat.tif"),
     "series": "EL",
+    "lock_in": True,
     "max_frame_mpx": 20.0,
     "max_frames": 50,
     "kappa": -0.25,

@@ -18,6 +18,7 @@ from napari_pv_inspect.widgets.file_field import FileField
 from napari_pv_inspect.widgets.number_field import NumberField
 from napari_pv_inspect.widgets.number_slider import NumberSlider
 from napari_pv_inspect.widgets.text_field import NumbersField, TextField
+from napari_pv_inspect.widgets.three_way import ThreeWay as ThreeWayBox
 from pv_inspect.settings import Settings, Stage
 
 __all__ = ["control_of", "label_of", "tooltip_of"]
@@ -106,6 +107,19 @@ class MarkControl(NativeWidget):
         super().__init__(partial(ChoiceMark, words, on, off), name=name, **kwargs)
 
 
+class ThreeWay:
+    """Type of a yes or no that may be left to what is found."""
+
+
+class ThreeWayControl(NativeWidget):
+    """Yes, no, or as it is found."""
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        declared = Settings.declared(name)
+        yes, no = declared.choices.values()
+        super().__init__(partial(ThreeWayBox, declared.automatic, yes, no), name=name, **kwargs)
+
+
 # A map of our own: what other plugins make of these types is theirs.
 _TYPES = TypeMap()
 # Before int: a flag is one to Python.
@@ -115,6 +129,7 @@ _TYPES.register_type(int, widget_type=NumberControl)
 _TYPES.register_type(Path, widget_type=FileControl)
 _TYPES.register_type(str, widget_type=TextControl)
 _TYPES.register_type(Mark, widget_type=MarkControl)
+_TYPES.register_type(ThreeWay, widget_type=ThreeWayControl)
 _TYPES.register_type(tuple[float, float], widget_type=PointControl)
 
 
@@ -130,7 +145,9 @@ def control_of(name: str) -> ValueWidget[Any]:
     declared, (kind, optional) = Settings.declared(name), Settings.kind_of(name)
     options: dict[str, Any] = {"tooltip": tooltip_of(name)}
     words = [text for text, _ in declared.choices.values()]
-    if len(words) == 2 and not words[1]:
+    if kind is bool and optional:
+        kind = ThreeWay
+    elif len(words) == 2 and not words[1]:
         kind = Mark
     elif words:
         options["choices"] = [(text, value) for value, (text, _) in declared.choices.items()]

@@ -19,6 +19,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.results.read import read_result
 from pv_inspect.results.resume import reopen, resume
+from pv_inspect.sequence.lock_in import lock_in_sentence
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import read_steadily
@@ -26,7 +27,10 @@ from pv_inspect.storage.folders import read_steadily
 __all__ = ["Opened", "Opener", "open_any", "open_result"]
 
 
-References = tuple[Path | None, Path | None]
+Reading = tuple[Path | None, Path | None, bool | None]
+
+
+AS_THEY_ARE: Reading = (None, None, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +42,8 @@ class Opened:
     sequence : FrameSequence or None
     result : Inspection or None
         Of a result folder; without a sequence if the frames can't be used.
-    references : (dark frame, flat frame)
-        What the frames were read with.
+    reading : (dark frame, flat frame, lock-in)
+        How the frames were read.
     trouble : str
         A sentence for the user; "" if all went well.
     again : bool
@@ -48,7 +52,7 @@ class Opened:
 
     sequence: FrameSequence | None = None
     result: Inspection | None = None
-    references: References = (None, None)
+    reading: Reading = AS_THEY_ARE
     trouble: str = ""
     again: bool = False
 
@@ -58,27 +62,32 @@ def open_any(path: Any, settings: Settings) -> Opened:
     if isinstance(path, (str, Path)) and reader.get_reader(path) is reader.read_result:
         # Also what is read after the result itself belongs to it.
         return read_steadily(Path(path), lambda: open_result(read_result(Path(path))))
-    references = (settings.dark_frame, settings.flat_frame)
-    frames = open_sequence(path, *references, settings.read_limits, settings.series)
-    return Opened(frames, references=references)
+    return Opened(_read(path, settings), reading=reading_of(settings))
 
 
 def open_result(result: Inspection) -> Opened:
     """Take a result up again, with its frames if they are still there."""
-    references = (result.settings.dark_frame, result.settings.flat_frame)
     try:
         whole = resume(result, reopen(result))
     except InspectionError as error:
         return Opened(result=result, trouble=str(error))
-    return Opened(whole.sequence, whole, references)
+    return Opened(whole.sequence, whole, reading_of(result.settings))
 
 
 def open_again(sequence: FrameSequence, settings: Settings) -> Opened:
-    """Read the same frames with other reference images."""
-    references = (settings.dark_frame, settings.flat_frame)
+    """Read the same frames in another way."""
     given = sequence.opened_from or sequence.source
-    frames = open_sequence(given, *references, settings.read_limits, settings.series)
-    return Opened(frames, references=references, again=True)
+    return Opened(_read(given, settings), reading=reading_of(settings), again=True)
+
+
+def reading_of(settings: Settings) -> Reading:
+    """Return how the settings want the frames to be read."""
+    return settings.dark_frame, settings.flat_frame, settings.lock_in
+
+
+def _read(given: Any, settings: Settings) -> FrameSequence:
+    dark, flat, lock_in = reading_of(settings)
+    return open_sequence(given, dark, flat, settings.read_limits, settings.series, lock_in)
 
 
 class Opener(QObject):
@@ -98,8 +107,8 @@ class Opener(QObject):
         self._latest = LatestOnly(
             self._on_opened, self._on_failure, failure="It can't be opened", at_once=True
         )
-        self._read_with: References = (None, None)
-        self._putting: References | None = None
+        self._read_with: Reading = AS_THEY_ARE
+        self._putting: Reading | None = None
         self._again = False
         self._name = ""
         self.may_leave: Callable[[], bool] = _always
@@ -140,15 +149,15 @@ class Opener(QObject):
     def _on_failure(self, error: InspectionError) -> None:
         self._name = ""
         if self._again:
-            self._set_references_back()
+            self._set_reading_back()
         self._model.notice(str(error), is_error=True)
 
     def _on_opened(self, opened: Opened) -> None:
         name, self._name = self._name, ""
         model = self._model
         if name:
-            model.notice(f"Opened {name}.")
-        self._putting = opened.references
+            model.notice(" ".join([f"Opened {name}.", *_said_of(opened.sequence)]))
+        self._putting = opened.reading
         try:
             self._put(opened)
         finally:
@@ -176,20 +185,26 @@ class Opener(QObject):
                 self._model.notice("")
                 self._name = ""
             self._latest.cancel()
-        self._read_with = self._putting or (None, None)
+        self._read_with = self._putting or AS_THEY_ARE
 
     def _on_settings(self, settings: Settings) -> None:
-        wanted = (settings.dark_frame, settings.flat_frame)
+        wanted = reading_of(settings)
         if self._model.sequence is not None and wanted != self._read_with and not self.busy:
             if self.may_leave():
                 self._start(open_again, self._model.sequence, settings)
             else:
-                self._set_references_back()
+                self._set_reading_back()
 
-    def _set_references_back(self) -> None:
+    def _set_reading_back(self) -> None:
         # The controls say how the open frames were read.
-        dark, flat = self._read_with
-        self._model.change_settings(dark_frame=dark, flat_frame=flat)
+        dark, flat, lock_in = self._read_with
+        self._model.change_settings(dark_frame=dark, flat_frame=flat, lock_in=lock_in)
+
+
+def _said_of(sequence: FrameSequence | None) -> list[str]:
+    """Say how frames were read if nobody may have asked for it."""
+    found = None if sequence is None else lock_in_sentence(sequence.lock_in, confirm=False)
+    return [found] if found else []
 
 
 def _always() -> bool:

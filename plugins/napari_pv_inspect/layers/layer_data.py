@@ -43,6 +43,7 @@ def open_sequence(
     flat_frame: Path | None = None,
     limits: ReadLimits | None = None,
     series: str | None = None,
+    lock_in: bool | None = None,
 ) -> FrameSequence:
     """Open one path, or a list of frames, with the reference images of the camera if given.
 
@@ -52,7 +53,7 @@ def open_sequence(
         If the frames are no usable sequence.
     """
     given = path if isinstance(path, (str, Path)) else [Path(p) for p in path]
-    return FrameSequence.open(given, dark_frame, flat_frame, limits, series)
+    return FrameSequence.open(given, dark_frame, flat_frame, limits, series, lock_in)
 
 
 def lazy_stack(sequence: FrameSequence) -> da.Array:
@@ -66,10 +67,10 @@ def lazy_stack(sequence: FrameSequence) -> da.Array:
 
 
 def sequence_layer(sequence: FrameSequence) -> LayerData:
-    """Return the lazy stack as a napari layer; only its first frame is read now."""
+    """Return the lazy stack as a napari layer; only the first one that is measured is read now."""
     attributes = {
         "name": FRAMES,
-        "contrast_limits": contrast_limits(_frame(sequence, 0)),
+        "contrast_limits": contrast_limits(_frame(sequence, next(iter(sequence.measured), 0))),
         "colormap": "gray",
         "axis_labels": ("frame", "row", "col"),
         "metadata": {SEQUENCE_KEY: sequence},

@@ -54,6 +54,9 @@ def frame_rows(
         by_user = _left_out_by_user(inspection, name)
         wanted = name not in skipped and (name in kept or by_user or used is not False)
         grid, residual, motion = _numbers(inspection, i)
+        if (reason := sequence.no_measurements.get(i)) is not None and not by_user:
+            rows.append(FrameRow(name, grid, residual, motion, False, reason, wanted=False))
+            continue
         left_out = "left out by you" if by_user else f"rejected: {why}" if why else "rejected"
         status = _status(used, left_out, wanted)
         rows.append(FrameRow(name, grid, residual, motion, used, status, wanted))
