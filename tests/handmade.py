@@ -36,6 +36,8 @@ class FakeSequence:
     warnings: tuple[str, ...] = ()
     layout_hint: dict[str, float] = field(default_factory=lambda: {"rows": 2, "cols": 3})
     copies: dict[int, int] = field(default_factory=dict)
+    lock_in: None = None
+    without_current: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
         return len(self.names)

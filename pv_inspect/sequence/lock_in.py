@@ -47,12 +47,15 @@ class LockIn:
         All other frames, with the reason.
     share : float
         EL as a share of the daylight that the module reflects.
+    certain : bool
+        Whether the switching would have been found without being asked for.
     """
 
     pairs: Mapping[int, Pair]
     dark: Mapping[int, str]
     unused: Mapping[int, str] = field(default_factory=dict)
     share: float = 0.0
+    certain: bool = True
 
     @property
     def dark_and_unused(self) -> dict[int, str]:
@@ -146,7 +149,7 @@ def lock_in_of(
             f"({names[on[0]]}: {unused[on[0]]}): switch faster, or hold the camera still."
         )
     dark = {index: _used_by(index, pairs, names) for index in off}
-    return LockIn(pairs, dark, unused, found.share)
+    return LockIn(pairs, dark, unused, found.share, found.certain)
 
 
 def lock_in_sentence(lock_in: LockIn | None, *, confirm: bool) -> str:
@@ -166,6 +169,8 @@ def lock_in_sentence(lock_in: LockIn | None, *, confirm: bool) -> str:
         f"Daylight lock-in: {n} difference{'s' if n > 1 else ''} of frames with current and the "
         f"nearest of {without} without ({glow})"
     )
+    if not lock_in.certain:
+        return f"{text}; the switching is not clear in their levels: check the list of frames."
     if not confirm:
         return f"{text}."
     return (

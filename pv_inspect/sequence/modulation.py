@@ -28,6 +28,8 @@ _PICTURE = (96, 128)
 # Rows and columns of the blocks whose levels are followed from frame to frame.
 _BLOCKS = (6, 8)
 _FILLER = 1e30
+# Directions in which the levels change that are looked at: something else may change more.
+_DIRECTIONS = 2
 # Frames from which on the drift of the daylight is taken as a line, and as a parabola.
 _LINE, _PARABOLA = 6, 10
 # A frame that is further from both levels, as a share of the step between them, is neither.
@@ -128,10 +130,10 @@ def find_modulation(pictures: NDArray[np.float32], wanted: bool = False) -> Modu
         return None
     floor = 1e-4 * float(pictures.max())
     taken = np.maximum(pictures.astype(np.float64), floor)
-    found = [*_candidates(taken), *_candidates(_shifted(taken))]
-    if (found or wanted) and not any(one.certain for one in found):
-        found += _candidates(_registered(taken))
-    return max(found, key=_rank, default=None)
+    # The registration takes a second: most sequences do not get there.
+    if not (wanted or _candidates(taken) or _candidates(_shifted(taken))):
+        return None
+    return max(_candidates(_registered(taken)), key=_rank, default=None)
 
 
 def _candidates(pictures: Array) -> list[Modulation]:
@@ -140,8 +142,11 @@ def _candidates(pictures: Array) -> list[Modulation]:
     found: list[Modulation] = []
     for own_gain in (False, True):
         x = levels - levels.mean(axis=1, keepdims=True) if own_gain else levels
-        for changes in (np.diff(x, axis=0), x - x.mean(axis=0)):
-            direction = np.linalg.svd(changes, full_matrices=False)[2][0]
+        directions = [
+            np.linalg.svd(changes, full_matrices=False)[2][:_DIRECTIONS]
+            for changes in (np.diff(x, axis=0), x - x.mean(axis=0))
+        ]
+        for direction in np.concatenate(directions):
             states, clearness = _two_levels(x @ direction)
             for current in (states, tuple(None if s is None else not s for s in states)):
                 one = _checked(pictures, current, clearness, own_gain)
@@ -170,10 +175,11 @@ def _beyond(region: Mask) -> Mask:
     return around
 
 
-def _rank(one: Modulation) -> tuple[bool, float, float]:
+def _rank(one: Modulation) -> tuple[bool, bool, float, float]:
     border = np.ones(_PICTURE, bool)
     border[1:-1, 1:-1] = False
-    return one.certain, -round(float(one.region[border].mean()), 1), one.clearness
+    switched = one.switches >= _LEAST_SWITCHES
+    return one.certain, switched, -round(float(one.region[border].mean()), 1), one.clearness
 
 
 def _shifted(pictures: Array) -> Array:

@@ -149,7 +149,7 @@ class _Swapped:
         self._sequence, self._index, self._image = sequence, index, image
         self.shape, self.noise, self.names = sequence.shape, sequence.noise, sequence.names
 
-        self.indices, self.copies = sequence.indices, sequence.copies
+        self.indices, self.no_measurements = sequence.indices, sequence.no_measurements
 
     def __len__(self) -> int:
         return len(self._sequence)

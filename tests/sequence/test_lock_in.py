@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import tifffile
@@ -10,9 +11,13 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import inspect_steps
+from pv_inspect.sequence.differences import Daylight as Daylight_
+from pv_inspect.sequence.differences import Pair, fitted
+from pv_inspect.sequence.frame import Frame
 from pv_inspect.sequence.frame_motion import motion_between
 from pv_inspect.sequence.lock_in import NEVER_NEAREST, NOT_BETWEEN, lock_in_sentence
 from pv_inspect.sequence.modulation import LevelPictures, Modulation, find_modulation
+from pv_inspect.sequence.noise import NoiseModel
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
@@ -204,14 +209,26 @@ def test_lock_in_of_frames_in_which_nothing_is_switched_is_one_sentence(tmp_path
     assert len(str(error.value)) < 400
 
 
-def test_a_frame_of_another_daylight_has_no_partner_and_says_why(tmp_path: Path) -> None:
+def test_a_frame_in_a_passing_shadow_is_left_out_and_says_why(tmp_path: Path) -> None:
     frames = made("10101010").frames.copy()
-    glow = frames[4].astype(np.int64) - frames[3]
-    frames[4] = np.clip(frames[3][::-1] + glow, 0, 4095)
+    frames[4] = np.clip(frames[4] * np.linspace(0.85, 1.15, frames.shape[2]), 0, 4095)
     opened = FrameSequence.open(written(frames, tmp_path / "f"), lock_in=True)
     assert opened.lock_in is not None
     assert set(opened.lock_in.pairs) == {0, 2, 6}
-    assert opened.lock_in.unused[4].startswith("the daylight in it is too unlike that of f_03.tif")
+    assert set(opened.lock_in.unused) == {4}
+
+
+def test_daylight_that_does_not_fit_leaves_more_than_the_glow() -> None:
+    day = made("10", SETTINGS.without_motion(), el_share=0.2)
+    on, off = (Frame(frame / np.float32(4095), np.ones(frame.shape, bool)) for frame in day.frames)
+    region = cv2.resize(day.night[0], on.image.shape[::-1]) > 200
+    noise = NoiseModel(1e-6, 1e-4)
+    left = []
+    for dark in (off, Frame(off.image[::-1].copy(), off.valid)):
+        pair = Pair((Daylight_(1, 1.0),))
+        left.append(fitted(on, pair, region, lambda _, dark=dark: dark, noise)[1])
+    assert left[0] < 0.1
+    assert left[1] > 0.5
 
 
 def test_a_run_names_the_frames_and_takes_the_differences_alone(folder: Path) -> None:
@@ -229,3 +246,9 @@ def test_settings_that_want_it_otherwise_than_the_frames_were_opened_are_refused
 ) -> None:
     with pytest.raises(InspectionError, match="lock_in = False"):
         next(inspect_steps(sequence, Settings(rows=3, cols=4, lock_in=False)))
+
+
+def test_what_is_not_clear_is_said_not_to_be(sequence: FrameSequence) -> None:
+    assert sequence.lock_in is not None
+    said = lock_in_sentence(replace(sequence.lock_in, certain=False), confirm=False)
+    assert "not clear" in said
