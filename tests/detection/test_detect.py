@@ -34,7 +34,9 @@ def _in_memory(frames: list[np.ndarray]) -> Any:
     class Frames:
         names = tuple(f"frame_{i}.tif" for i in range(len(frames)))
         shape = frames[0].shape
-        copies: ClassVar[dict[int, int]] = {}
+        no_measurements: ClassVar[dict[int, str]] = {}
+        lock_in = None
+        measured = tuple(range(len(frames)))
 
         def __len__(self) -> int:
             return len(frames)
