@@ -6,9 +6,10 @@
 
 Simulated modules with their true geometry, at 3x. ``images``: PSNR of the module image beside the
 first frame, rectified by bicubic interpolation (both with the slow brightness of the truth); the
-darkest value, and the brightest over the brightest valid pixel of the frames; F1 of coarse crack
-masks; cells without a crack that have a class, and those of all cells that can't be judged. A case
-is a number of frames with their motion, or a number that all stand in the same place ("still").
+darkest value, and the brightest over the brightest valid pixel of the first frame; F1 of coarse
+crack masks; cells without a crack that have a class, and those of all cells that can't be judged.
+A case is a number of frames with their motion, or a number that all stand in the same place
+("still").
 ``--prior-weight`` and ``--sigma`` are given to the reconstruction instead of what it finds.
 ``defects``: hot and dead pixels that deviate by a tenth of full scale and are missed in single
 frames, and good pixels that are taken for defects.
