@@ -204,6 +204,12 @@ class SensorState(NamedTuple):
         """Return a frame without that."""
         return prepared(raw, self.black, self.level, scale, self.defects, self.flat)
 
+    def with_defects_in(self, stack: Raw, full_scale: float) -> SensorState:
+        """Add the pixels that are defective in some frames, (n_frames, height, width) in DN."""
+        defects = self.defects | defective_pixels(stack, full_scale)
+        defects.flags.writeable = False
+        return self._replace(defects=defects)
+
 
 def sensor_of(
     stack: Raw,

@@ -227,6 +227,10 @@ class FrameSequence:
             names,
             lock_in,
         )
+        if found_lock_in is not None:
+            # What only the frames with current show would be in every difference.
+            glowing = [scale.dn(decoded[k])[0] for k in list(found_lock_in.pairs)[:most]]
+            sensor = sensor.with_defects_in(np.stack(glowing), full_scale)
         return cls(
             names,
             shape,

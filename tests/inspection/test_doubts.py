@@ -10,6 +10,8 @@ import pytest
 from pv_inspect.cracks import CellFeatures, CrackMap
 from pv_inspect.inspection.doubts import CONTRADICTION, OVER_FIT, doubts_of, warnings_of
 from pv_inspect.inspection.summary import summary
+from pv_inspect.sequence.differences import Pair
+from pv_inspect.sequence.lock_in import LockIn
 from tests.handmade import made_inspection, made_reconstruction
 
 
@@ -90,6 +92,19 @@ def test_copies_are_told_in_one_sentence_not_frame_by_frame() -> None:
     assert not any("is not used" in text for text in warnings)
     told = summary(replace(made, sequence=sequence, warnings=warnings), Path("out"), 1.0)
     assert "not used" not in told
+
+
+def test_frames_without_current_are_told_in_one_sentence_not_frame_by_frame() -> None:
+    made = made_inspection()
+    lock_in = LockIn({0: Pair(()), 2: Pair(())}, {1: "without current: subtracted from frame_0"})
+    sequence: Any = replace(  # type: ignore[type-var]
+        made.sequence, lock_in=lock_in, without_current=frozenset({1})
+    )
+    warnings = warnings_of(replace(made, sequence=sequence))
+    assert sum("please confirm it (--lock-in" in text for text in warnings) == 1
+    assert not any("is not used" in text for text in warnings)
+    asked = replace(made, sequence=sequence, settings=made.settings.changed(lock_in=True))
+    assert not any("confirm it" in text for text in warnings_of(asked))
 
 
 def test_rows_that_run_down_the_frames_are_warned_about() -> None:

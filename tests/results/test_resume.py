@@ -19,6 +19,8 @@ from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings, Stage
+from pv_inspect.simulate import SimulationSettings
+from pv_inspect.simulate.daylight import Daylight, simulate_daylight
 from tests.handmade import made_inspection
 
 
@@ -211,3 +213,19 @@ def test_a_file_of_a_newer_version_is_told_from_a_damaged_one(tmp_path: Path, na
     path.write_text(json.dumps({**json.loads(path.read_text()), "format": 99}))
     with pytest.raises(InspectionError, match=r"newer version of pv-inspect \(format 99"):
         resume(read_result(tmp_path / "out"), inspection.sequence)
+
+
+def test_frames_by_daylight_are_opened_again_as_differences(tmp_path: Path) -> None:
+    settings = SimulationSettings(
+        rows=2, cols=3, width=128, height=96, fill=0.7, pixels_per_unit=40, supersampling=2
+    )
+    day = Daylight((1.0, 0.0, 1.0), el_share=0.3, drift=0.0)
+    (tmp_path / "frames").mkdir()
+    for k, frame in enumerate(simulate_daylight(settings, day).frames):
+        tifffile.imwrite(tmp_path / "frames" / f"frame_{k}.tif", frame)
+    # Three frames are too few to be taken for it unasked.
+    assert FrameSequence.open(tmp_path / "frames").lock_in is None
+    written(FrameSequence.open(tmp_path / "frames", lock_in=True), tmp_path / "out")
+    again = reopen(read_result(tmp_path / "out"))
+    assert again.lock_in is not None
+    assert set(again.lock_in.pairs) == {0, 2}

@@ -23,6 +23,7 @@ from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
 from pv_inspect.simulate.daylight import Daylight, SimulatedDaylight, simulate_daylight
 
+CASE = Path(__file__).resolve().parents[3] / "shared" / "cases" / "10-daylight-lock-in"
 SETTINGS = SimulationSettings(
     seed=4,
     rows=3,
@@ -252,3 +253,19 @@ def test_what_is_not_clear_is_said_not_to_be(sequence: FrameSequence) -> None:
     assert sequence.lock_in is not None
     said = lock_in_sentence(replace(sequence.lock_in, certain=False), confirm=False)
     assert "not clear" in said
+
+
+def test_a_pixel_that_is_hot_with_current_only_is_no_part_of_a_difference(tmp_path: Path) -> None:
+    frames = made("10101010").frames.copy()
+    frames[::2, 50, 60] = 4000
+    opened = FrameSequence.open(written(frames, tmp_path / "f"))
+    assert opened.defects[50, 60]
+    assert not opened.frame(2).valid[50, 60]
+    assert opened.frame(2).image[50, 60] < 0.1
+
+
+@pytest.mark.skipif(not CASE.is_dir(), reason="the cases in ../shared are not on this machine")
+def test_the_synthetic_case_is_found_without_being_told() -> None:
+    opened = FrameSequence.open(CASE)
+    assert opened.lock_in is not None
+    assert opened.measured == [0, 2, 4, 6, 8]
