@@ -112,7 +112,7 @@ class Settings(DeclaredModel):
         _reading(
             "daylight lock-in",
             option=("--lock-in/--no-lock-in",),
-            automatic="as the frames show",
+            automatic="as seen",
             choices={
                 "yes": ("Differences", "Frames with current minus the nearest ones without."),
                 "no": ("Frames as they are", "Whatever their levels do."),

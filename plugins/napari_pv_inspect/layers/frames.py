@@ -101,6 +101,8 @@ class FramesLayer:
 def frame_caption(sequence: FrameSequence, inspection: Inspection | None, frame: int) -> str:
     """Return name, fit and status of one frame in one line."""
     name = sequence.names[frame]
+    if (reason := sequence.no_measurements.get(frame)) is not None:
+        return f"{name}   not used: {reason}"
     if inspection is None or inspection.calibration is None:
         if inspection is not None and inspection.crossings is not None:
             why = inspection.crossings.frames[frame].why

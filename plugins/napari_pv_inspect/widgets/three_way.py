@@ -33,6 +33,9 @@ class ThreeWay(QComboBox):
         self.addItems([automatic, yes[0], no[0]])
         for k, (_, meaning) in enumerate((yes, no), start=1):
             self.setItemData(k, meaning, Qt.ItemDataRole.ToolTipRole)
+        # It may be narrower than its longest words.
+        self.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.setMinimumContentsLength(6)
         self.currentIndexChanged.connect(self._on_index)
 
     def value(self) -> bool | None:
