@@ -42,6 +42,10 @@ class FakeSequence:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def measured(self) -> list[int]:
+        return list(range(len(self)))
+
     def layout(self, settings: Settings) -> ModuleLayout:
         return replace(LAYOUT, rows=settings.rows or LAYOUT.rows)
 

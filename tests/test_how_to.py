@@ -59,7 +59,7 @@ def test_options_in_the_text_exist() -> None:
         name
         for command in group.list_commands(context)
         for option in group.get_command(context, command).params
-        for name in option.opts
+        for name in (*option.opts, *option.secondary_opts)
     }
     text = "\n".join(page.read_text("utf-8") for page in PAGES)
     assert set(re.findall(r"`(--[a-z][a-z-]+)", text)) <= known
