@@ -15,8 +15,8 @@ The second line exports network.onnx, calibrates it, chooses the operating point
 that a class needs, measures the looks that were learnt, and writes all that beside it.
 ``python benchmarks/crack_looks.py CELLS --models default OUT/network.onnx`` compares cells of other
 makers, ``python benchmarks/cracks.py cells CELLS --elpv ELPV --model OUT/network.onnx`` the others.
-To make it the default, copy both files to ``pv_inspect/cracks/models/default.*`` and put the
-SHA-256 into ``pv_inspect/cracks/network.py``.
+`pv_inspect.cracks.training.ensemble` joins several. To make one the default, copy both files to
+``pv_inspect/cracks/models/default.*`` and put the SHA-256 into ``pv_inspect/cracks/network.py``.
 
 CELLS holds train/ and val/, each with img/ and ann/ (see
 `pv_inspect.cracks.training.labelled`). OUT gets network.onnx with its description network.json,
