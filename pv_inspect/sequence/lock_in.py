@@ -31,6 +31,8 @@ NEVER_NEAREST = "without current, and others are nearer to every frame with curr
 # What is left of the daylight around the module, over the glow of the module, from which on a frame
 # shows more of the day than of the module.
 _MOSTLY_DAY = 0.5
+# So many frames further than the nearest one a frame of one's own may be.
+_FURTHER = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +129,11 @@ def lock_in_of(
     off = [distinct[k] for k, state in enumerate(found.current) if state is False]
     unused = {distinct[k]: NOT_BETWEEN for k, state in enumerate(found.current) if state is None}
     pairs: dict[int, Pair] = {}
+    taken: set[int] = set()
     for index in on:
         frame = exposed(index)
         region = _enlarged(found, frame.image.shape)
-        pair = registered(frame, _nearest(index, off), exposed)
+        pair = registered(frame, _nearest(index, off, taken), exposed)
         pair, left = fitted(frame, pair, region, exposed, noise)
         if left > _MOSTLY_DAY:
             unused[index] = (
@@ -179,16 +182,19 @@ def lock_in_sentence(lock_in: LockIn | None, *, confirm: bool) -> str:
     )
 
 
-def _nearest(index: int, off: list[int]) -> tuple[Daylight, ...]:
-    """Return the frames without current before and after, weighted as a line between them is."""
-    before = max((k for k in off if k < index), default=None)
-    after = min((k for k in off if k > index), default=None)
-    if before is None or after is None:
-        only = after if before is None else before
-        assert only is not None
-        return (Daylight(only, 1.0),)
-    share = (index - before) / (after - before)
-    return Daylight(before, 1.0 - share), Daylight(after, share)
+def _nearest(index: int, off: list[int], taken: set[int]) -> tuple[Daylight, ...]:
+    """Return the nearest frame without current; one that no other frame has, if it is not far.
+
+    Two differences with one frame share its noise on the module, which then passes for detail: with
+    the mean of both neighbours the PSF and lambda of a simulated sequence came out as 0.90 LR px
+    and 0.03 instead of 0.51 and 0.13. The mean over all differences is as noisy either way.
+    """
+    nearest = min(off, key=lambda k: abs(k - index))
+    own = min((k for k in off if k not in taken), key=lambda k: abs(k - index), default=nearest)
+    if abs(own - index) > abs(nearest - index) + _FURTHER:
+        own = nearest
+    taken.add(own)
+    return (Daylight(own, 1.0),)
 
 
 def _used_by(index: int, pairs: Mapping[int, Pair], names: tuple[str, ...]) -> str:
