@@ -42,6 +42,7 @@ from napari_pv_inspect.napari_internals import (
 from napari_pv_inspect.review.controller import Reviewer
 from napari_pv_inspect.session.trials import TrialStore
 from napari_pv_inspect.session.view_state import SessionStore
+from napari_pv_inspect.tasks.garbage import collect_anywhere, collect_in_main_thread
 from napari_pv_inspect.tasks.run import RunController
 from napari_pv_inspect.widgets.shortcuts import Key, Shortcuts
 from pv_inspect.inspection.inspection import Inspection
@@ -115,6 +116,7 @@ class Workbench(QObject):
         self.shortcuts: Shortcuts | None = None
         self._drops: DropHandler | None = None
         if self._main_window is not None:
+            collect_in_main_thread(self)
             # The controls keep their height when the gallery comes.
             self._main_window.setCorner(
                 Qt.Corner.BottomRightCorner, Qt.DockWidgetArea.RightDockWidgetArea
@@ -160,6 +162,7 @@ class Workbench(QObject):
         self.review.close()
         self.frames.close()
         self.viewer.layers.events.inserted.disconnect(self._on_inserted)
+        collect_anywhere(self)
         if self._main_window is not None:
             self._main_window.removeEventFilter(self)
             canvas_area(self._main_window).removeEventFilter(self)
