@@ -63,10 +63,10 @@ coverage: $(INSTALLED) ## the tests without a window again, and which lines of c
 	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin -n 2 $(COVERAGE) --cov-append
 	$(PYTHON) -m coverage report --skip-covered
 
-test-window: $(INSTALLED) ## tests of the workbench in a real window, on a virtual screen
+test-window: $(INSTALLED) ## tests of the workbench in a real window, each worker on a virtual screen
 ifeq ($(shell uname -s),Linux)
-	QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 \
-		xvfb-run -a -s "-screen 0 1600x1000x24" $(PYTEST) tests/plugin -m xvfb --durations=5
+	QT_QPA_PLATFORM=xcb LIBGL_ALWAYS_SOFTWARE=1 $(PYTEST) tests/plugin -m xvfb -n 2 --durations=5 \
+		-p xvfb -o xvfb_width=1600 -o xvfb_height=1000 -o xvfb_colordepth=24
 else
 	@echo "The tests in a real window need Xvfb and run on Linux only: left out."
 endif
