@@ -110,12 +110,12 @@ class Settings(DeclaredModel):
     lock_in: bool | None = tunable(
         None,
         _reading(
-            "daylight lock-in",
+            "lock-in",
             option=("--lock-in/--no-lock-in",),
             automatic="as seen",
             choices={
                 "yes": ("Differences", "Frames with current minus the nearest ones without."),
-                "no": ("Frames as they are", "Whatever their levels do."),
+                "no": ("As they are", "The frames themselves, whatever their levels do."),
             },
         ),
         "The current is switched on and off between the frames, by daylight: differences of frames "

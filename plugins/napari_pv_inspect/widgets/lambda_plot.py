@@ -15,6 +15,8 @@ Curve = tuple[tuple[float, float], ...]
 CURVE = QColor("#56B4E9")
 AUTOMATIC = QColor("#009E73")
 PRESENT = QColor("#E69F00")
+# With a doubt of one line above it, the page just fits into a window of 1280 x 800.
+HEIGHT_PX = 100
 MARGIN = (8.0, 20.0, 8.0, 18.0)
 # Beyond the weights that were tried, as a factor.
 BEYOND = 4.0
@@ -28,7 +30,7 @@ class LambdaPlot(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setFixedHeight(112)
+        self.setFixedHeight(HEIGHT_PX)
         self.setToolTip(
             "Mean squared residual of held-out pixels, in units of the noise, over lambda: the "
             "lower, the better the image predicts what it has not seen. Green: the automatic "
@@ -64,7 +66,7 @@ class LambdaPlot(QWidget):
 
     def sizeHint(self) -> QSize:  # noqa: N802 (Qt's name)
         """Wide and low."""
-        return QSize(280, 112)
+        return QSize(280, HEIGHT_PX)
 
     def x_of(self, weight: float) -> float:
         """Where a lambda lies, in pixels of the widget; at the rim if it is beyond."""

@@ -46,6 +46,7 @@ class ExportBox(QGroupBox):
         super().__init__("Report", parent)
         self._model, self._review = model, review
         form = QFormLayout()
+        form.setVerticalSpacing(1)
         self.fields: dict[str, QLineEdit] = {}
         for name, (label, tip) in FIELDS.items():
             field = QLineEdit()
