@@ -14,7 +14,9 @@ def test_every_setting_is_declared_for_a_control_or_says_what_sets_it(name: str)
     declared, (kind, optional) = Settings.declared(name), Settings.kind_of(name)
     assert declared.title
     assert optional == (Settings.model_fields[name].default is None)
-    assert set(declared.choices) == set(Settings.choices_of(name))
+    # A switch that may be left to the program has three positions: a box, not a mark to set.
+    switch = {"yes", "no"} if kind is bool and optional else set()
+    assert set(declared.choices) == set(Settings.choices_of(name)) | switch
     assert bool(declared.files) == (kind is Path)
     if declared.slider is not None:
         assert kind is float
