@@ -141,7 +141,8 @@ def many_batches(
     if not processes:
         yield batches(cells, recipe)
         return
-    context = multiprocessing.get_context("fork")
+    # A forked process hangs where another thread of this one held a lock, OpenCV's say.
+    context = multiprocessing.get_context("spawn")
     queues = [context.Queue(_AHEAD) for _ in range(processes)]
     workers = [
         context.Process(
