@@ -82,10 +82,11 @@ def _measured(read: Read, place: Path, case: Case, output: int) -> Outcome:
     fault = outcome.fault or (fault_of(outcome.said) if outcome.said else "")
     if not fault and printed:
         fault = f"printed {printed!r}"
-    if not fault and cpu_s > MOST_CPU_S:
-        fault = f"took {cpu_s:.1f} s of processor time"
+    # Before the time: to take memory costs time as well, on a busy machine much.
     if not fault and grown > MOST_MIB:
         fault = f"took {grown:.0f} MiB"
+    if not fault and cpu_s > MOST_CPU_S:
+        fault = f"took {cpu_s:.1f} s of processor time"
     return Outcome(outcome.said, fault, cpu_s, grown, outcome.where)
 
 
