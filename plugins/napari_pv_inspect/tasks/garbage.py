@@ -19,16 +19,16 @@ class _Collector(QObject):
         super().__init__(parent)
         self.users: WeakSet[QObject] = WeakSet()
         self._was_enabled = gc.isenabled()
-        gc.disable()
-        timer = QTimer(self)
-        timer.timeout.connect(self.collect)
-        timer.start(INTERVAL_MS)
+        self._timer = QTimer(self)
+        self._timer.timeout.connect(self.collect)
+        self._timer.start(INTERVAL_MS)
 
     def collect(self) -> None:
         """Collect the oldest generation that is due."""
         if not self.users and not QThreadPool.globalInstance().activeThreadCount():
             self._end()
             return
+        gc.disable()  # other code may have switched it on again
         counts, thresholds = gc.get_count(), gc.get_threshold()
         for generation in (2, 1, 0):
             if counts[generation] > thresholds[generation] > 0:
@@ -39,6 +39,8 @@ class _Collector(QObject):
         """Give collection back to Python, with nothing of a closed window left to collect."""
         global _collector
         _collector = None
+        # It lives on until the event loop comes to delete it, and must not end its successor.
+        self._timer.stop()
         gc.collect()
         if self._was_enabled:
             gc.enable()
@@ -61,6 +63,7 @@ def collect_in_main_thread(user: QObject) -> None:
         return
     if _collector is None:
         _collector = _Collector(application)
+    gc.disable()
     _collector.users.add(user)
 
 
