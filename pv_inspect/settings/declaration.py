@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Self, Union, get_args, get_origin
 
 from pydantic import BaseModel, Field, TypeAdapter
-from pydantic.dataclasses import dataclass
 
 from pv_inspect.settings.stages import Stage
 
@@ -70,7 +70,7 @@ class Declaration:
     logarithmic: bool = False
     decimals: int = 2
     automatic: str = "automatic"
-    choices: dict[str, tuple[str, str]] = Field(default_factory=dict)
+    choices: dict[str, tuple[str, str]] = field(default_factory=dict)
     files: str = ""
     advanced: bool = False
     live: bool = False
