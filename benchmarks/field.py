@@ -5,6 +5,12 @@
 FOLDER holds photographs and a ``truth.json`` with rows, cols and crossings_px of every one. Each
 photograph is detected on its own, as a sequence of one frame; with ``--guess`` without being told
 the rows and columns.
+
+The labels themselves are not good to the bar everywhere: their outer points were moved onto the
+ends of the cells. What they are worth is printed as well: how far the labels' outer lines lie from
+the grid of the labels' own inner points, and the found outer lines from that of the found inner
+points. A grid is a plane seen through a lens with one, or two, radial coefficients, which are
+common to all photographs.
 """
 
 from __future__ import annotations
@@ -13,9 +19,12 @@ import argparse
 import json
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from pv_inspect.detection.detect import detect
 from pv_inspect.detection.layout_guess import guess_layout
@@ -24,7 +33,21 @@ from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.progress.follow import follow
 from pv_inspect.sequence.sequence import FrameSequence
 
-MUST_PX = 2.0
+MUST_PX = 1.5
+RADIUS_PX = 600.0
+"""Unit of radii in the lens model, that of the labels."""
+
+Array = NDArray[np.float64]
+
+
+class Points(NamedTuple):
+    """Labelled and found crossing points of one photograph, (n, 2) px."""
+
+    name: str
+    layout: ModuleLayout
+    true: Array
+    found: Array
+    measured: NDArray[np.bool_]
 
 
 def main() -> None:
@@ -35,11 +58,15 @@ def main() -> None:
     arguments = parser.parse_args()
     truth = json.loads((arguments.folder / "truth.json").read_text(encoding="utf-8"))
     photos = truth["images"]
-    good = sum(_report(arguments.folder, photo, arguments.guess) for photo in photos)
+    pairs = [_report(arguments.folder, photo, arguments.guess) for photo in photos]
+    read = [points for points in pairs if points is not None]
+    good = sum(_errors(points).max() <= MUST_PX for points in read)
     print(f"all crossings within {MUST_PX:g} px: {good} of {len(photos)}")
+    if read:
+        _report_labels(read, tuple(truth["image_size"]))
 
 
-def _report(folder: Path, photo: dict[str, Any], guess: bool) -> bool:
+def _report(folder: Path, photo: dict[str, Any], guess: bool) -> Points | None:
     begun = process_time()
     try:
         sequence = FrameSequence.open([folder / photo["file"]])
@@ -49,23 +76,107 @@ def _report(folder: Path, photo: dict[str, Any], guess: bool) -> bool:
         frame = follow(detect(sequence, layout), "detecting", quiet=True).frames[0]
     except InspectionError as error:
         print(f"{photo['file']}  not found: {error}")
-        return False
+        return None
     seconds = process_time() - begun
     true = np.array(photo["crossings_px"])
     name = f"{photo['file']}  {layout.rows} x {layout.cols}"
     if len(true) != len(frame.points_px):
         print(f"{name}  wrong rows and columns, {photo['rows']} x {photo['cols']} in truth")
-        return False
+        return None
     # The module looks the same turned by half a turn.
-    error = min(
-        (np.linalg.norm(frame.points_px[::way] - true, axis=1) for way in (1, -1)),
-        key=lambda distance: float(distance.max()),
+    points = min(
+        (
+            Points(photo["file"], layout, true, frame.points_px[::way], frame.measured[::way])
+            for way in (1, -1)
+        ),
+        key=lambda one: float(_errors(one).max()),
     )
+    error = _errors(points)
     print(
         f"{name}  median {np.median(error):.3f}  max {error.max():.3f} px"
         f"  measured {frame.measured.mean():.0%}  {seconds:.2f} s"
     )
-    return bool(error.max() <= MUST_PX)
+    return points
+
+
+def _errors(points: Points) -> Array:
+    return np.asarray(np.linalg.norm(points.found - points.true, axis=1))
+
+
+def _report_labels(photos: list[Points], size: tuple[int, int]) -> None:
+    """Print how far outer points lie from the grid of the inner ones, labelled and found."""
+    print("\nmedian distance of the outer lines from the grid of the inner points, px")
+    print(
+        "photograph     side    labels (1 coeff.)   found (1)   labels from found (2)   found (2)"
+    )
+    one = _grids(photos, size, 1, "found")
+    own = _grids(photos, size, 1, "true")
+    two = _grids(photos, size, 2, "found")
+    for k, points in enumerate(photos):
+        for side, line, axis in _sides(points.layout):
+            values = [
+                np.median((of - grid)[line, axis])
+                for of, grid in (
+                    (points.true, own[k]),
+                    (points.found, one[k]),
+                    (points.true, two[k]),
+                    (points.found, two[k]),
+                )
+            ]
+            print(
+                f"{points.name:14s} {side:6s}"
+                + "".join(f"{v:{w}.2f}" for v, w in zip(values, (15, 15, 18, 16), strict=True))
+            )
+
+
+def _sides(layout: ModuleLayout) -> list[tuple[str, NDArray[np.bool_], int]]:
+    row, col = np.divmod(np.arange(layout.n_crossings), layout.cols + 1)
+    return [
+        ("left", col == 0, 0),
+        ("right", col == layout.cols, 0),
+        ("top", row == 0, 1),
+        ("bottom", row == layout.rows, 1),
+    ]
+
+
+def _grids(
+    photos: list[Points], size: tuple[int, int], coefficients: int, which: str
+) -> list[Array]:
+    """Fit poses and one common lens to the inner points; return all points of each grid."""
+    centre = (np.array(size) - 1) / 2
+    inner = [
+        ~np.any([line for _, line, _ in _sides(p.layout)], axis=0)
+        & (p.measured if which == "found" else True)
+        for p in photos
+    ]
+    planes = [p.layout.crossings() / p.layout.cols - 0.5 for p in photos]
+    points = [getattr(p, which) for p in photos]
+    starts = [
+        cv2.findHomography(plane[use], (seen[use] - centre) / RADIUS_PX)[0].ravel()[:8]
+        for plane, seen, use in zip(planes, points, inner, strict=True)
+    ]
+
+    def grid(pose: Array, lens: Array, plane: Array) -> Array:
+        rays = np.column_stack([plane, np.ones(len(plane))]) @ np.append(pose, 1).reshape(3, 3).T
+        rays = rays[:, :2] / rays[:, 2:]
+        radius = np.square(rays).sum(axis=1)
+        bend = 1 + sum(c * radius ** (k + 1) for k, c in enumerate(lens))
+        return np.asarray(centre + RADIUS_PX * rays * bend[:, None])
+
+    def grids(parameters: Array) -> list[Array]:
+        poses = parameters[coefficients:].reshape(-1, 8)
+        return [
+            grid(pose, parameters[:coefficients], plane)
+            for pose, plane in zip(poses, planes, strict=True)
+        ]
+
+    def residuals(parameters: Array) -> Array:
+        triples = zip(grids(parameters), points, inner, strict=True)
+        return np.concatenate([(there - seen)[use].ravel() for there, seen, use in triples])
+
+    start = np.concatenate([np.zeros(coefficients), *starts])
+    fit = least_squares(residuals, start, loss="soft_l1", f_scale=0.3, x_scale="jac")
+    return grids(fit.x)
 
 
 if __name__ == "__main__":
