@@ -1,8 +1,7 @@
-"""A frame with current minus the frames without it, registered, with the noise of all of them."""
+"""A frame with current minus one without it, registered, with the noise of both."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -14,7 +13,7 @@ from pv_inspect.sequence.frame import Frame
 from pv_inspect.sequence.frame_motion import Motion, motion_between
 from pv_inspect.sequence.noise import NoiseModel
 
-__all__ = ["Daylight", "Pair", "difference", "fitted", "registered"]
+__all__ = ["Pair", "difference", "fitted", "registered"]
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -32,63 +31,43 @@ _MOST_SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
-class Daylight:
-    """A frame without current as a part of the daylight in a frame with current.
+class Pair:
+    """The daylight in a frame with current: ``gain * dark + offset``.
 
     Parameters
     ----------
-    frame : int
-    share : float
-        Weight of the frame.
+    dark : int
+        The frame without current.
     motion : Motion or None
         Where its pixels are; None if the camera stood still.
+    gain, offset : float
     """
 
-    frame: int
-    share: float
+    dark: int
     motion: Motion | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """The daylight in a frame with current: ``gain * sum(share * frame) + offset``."""
-
-    daylight: tuple[Daylight, ...]
     gain: float = 1.0
     offset: float = 0.0
 
 
-def registered(
-    frame: Frame, daylight: tuple[Daylight, ...], exposed: Callable[[int], Frame]
-) -> Pair:
-    """Register the frames without current to one with it.
+def registered(frame: Frame, dark: Frame, index: int) -> Pair:
+    """Register a frame without current to one with it.
 
     Parameters
     ----------
     frame : Frame
         With current.
-    daylight : tuple of Daylight
-        Without current, not registered yet.
-    exposed : callable
-        Returns a frame as it was exposed.
+    dark : Frame
+        Without current.
+    index : int
+        Of the latter.
     """
-    parts = []
-    for part in daylight:
-        motion = motion_between(frame.image, exposed(part.frame).image)
-        if motion is not None and motion.largest(_shape(frame)) < _STILL_PX:
-            motion = None
-        parts.append(replace(part, motion=motion))
-    return Pair(tuple(parts))
+    motion = motion_between(frame.image, dark.image)
+    if motion is not None and motion.largest(dark.image.shape) < _STILL_PX:
+        motion = None
+    return Pair(index, motion)
 
 
-def _shape(frame: Frame) -> tuple[int, int]:
-    height, width = frame.image.shape
-    return height, width
-
-
-def fitted(
-    frame: Frame, pair: Pair, region: Mask, exposed: Callable[[int], Frame], noise: NoiseModel
-) -> tuple[Pair, float]:
+def fitted(frame: Frame, pair: Pair, dark: Frame, region: Mask) -> tuple[Pair, float]:
     """Fit the light of the day around the module; return what is left there over the glow inside.
 
     Notes
@@ -96,7 +75,8 @@ def fitted(
     The black level of frames without any black is not known, so that a change of the light or of
     the camera's gain is a factor and an offset. Huber's weights, for the surroundings move.
     """
-    daylight, valid, _ = _sum_of(frame, pair, exposed, noise)
+    daylight, valid = _aligned(dark, pair)
+    valid = valid & frame.valid
     image = cv2.GaussianBlur(frame.image, (0, 0), _SMOOTH_PX)
     smooth = cv2.GaussianBlur(daylight, (0, 0), _SMOOTH_PX)
     near = np.ones((2 * (frame.image.shape[1] // 32) + 1,) * 2, np.uint8)
@@ -136,39 +116,28 @@ def _line(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]
     return gain, level - gain * middle
 
 
-def _sum_of(
-    frame: Frame, pair: Pair, exposed: Callable[[int], Frame], noise: NoiseModel
-) -> tuple[Image, Mask, Image]:
-    """Return sum, valid pixels and variance of the weighted frames without current."""
-    shape = _shape(frame)
-    total, valid, variance = np.zeros(shape, np.float32), frame.valid.copy(), np.zeros(shape)
-    for part in pair.daylight:
-        dark = exposed(part.frame)
-        light = cv2.GaussianBlur(dark.image, (0, 0), _SMOOTH_PX)
-        image, seen, kept = dark.image, dark.valid, np.ones(1)
-        if part.motion is not None:
-            maps = part.motion.maps(shape)
-            image, light = (
-                np.asarray(
-                    cv2.remap(p, *maps, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE),
-                    np.float32,
-                )
-                for p in (dark.image, light)
-            )
-            wrong = cv2.remap(
-                (~dark.valid).astype(np.float32), *maps, cv2.INTER_LINEAR, borderValue=1.0
-            )
-            seen = wrong < 0.5 / 8
-            kept = _kept_noise(maps)
-        valid &= seen
-        total += np.float32(part.share) * image
-        variance += kept * part.share**2 * np.square(noise.sigma(light))
-    return total, valid, variance.astype(np.float32)
+def _aligned(dark: Frame, pair: Pair) -> tuple[Image, Mask]:
+    """Return the frame without current where the one with current sees it, and what is valid."""
+    if pair.motion is None:
+        return dark.image, dark.valid
+    maps = pair.motion.maps(dark.image.shape)
+    image = cv2.remap(dark.image, *maps, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    wrong = cv2.remap((~dark.valid).astype(np.float32), *maps, cv2.INTER_LINEAR, borderValue=1.0)
+    return np.asarray(image, np.float32), wrong < 0.5 / 8
 
 
-def difference(
-    frame: Frame, pair: Pair, exposed: Callable[[int], Frame], noise: NoiseModel
-) -> Frame:
+def _aligned_variance(dark: Frame, pair: Pair, noise: NoiseModel) -> Image:
+    """Variance of the aligned frame without current."""
+    light = cv2.GaussianBlur(dark.image, (0, 0), _SMOOTH_PX)
+    if pair.motion is None:
+        return np.square(noise.sigma(light))
+    maps = pair.motion.maps(dark.image.shape)
+    light = cv2.remap(light, *maps, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    variance = _kept_noise(maps) * np.square(noise.sigma(np.asarray(light, np.float32)))
+    return variance.astype(np.float32)
+
+
+def difference(frame: Frame, pair: Pair, dark: Frame, noise: NoiseModel) -> Frame:
     """Subtract the daylight of a frame with current.
 
     Parameters
@@ -176,24 +145,25 @@ def difference(
     frame : Frame
         With current.
     pair : Pair
-    exposed : callable
-        Returns a frame as it was exposed.
+    dark : Frame
+        That of the pair, as it was exposed.
     noise : NoiseModel
         Of such frames.
 
     Returns
     -------
     Frame
-        Its ``added_variance`` is what the daylight, here and in the subtracted frames, adds to the
+        Its ``added_variance`` is what the daylight, here and in the subtracted frame, adds to the
         variance.
     """
-    daylight, valid, variance = _sum_of(frame, pair, exposed, noise)
+    daylight, valid = _aligned(dark, pair)
     gain = np.float32(pair.gain)
     image = frame.image - gain * daylight - np.float32(pair.offset)
     # The noise of the frame itself is that of all its light, not of the difference alone.
     light, glow = (cv2.GaussianBlur(p, (0, 0), _SMOOTH_PX) for p in (frame.image, image))
     own = np.square(noise.sigma(light)) - np.square(noise.sigma(glow))
-    added = np.maximum(own, 0.0) + gain**2 * variance
+    added = np.maximum(own, 0.0) + gain**2 * _aligned_variance(dark, pair, noise)
+    valid = valid & frame.valid
     made = Frame(np.asarray(image, np.float32), valid, np.asarray(added, np.float32))
     for array in (made.image, made.valid, made.added_variance):
         assert array is not None

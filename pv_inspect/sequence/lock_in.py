@@ -1,6 +1,6 @@
 """Differences of frames with and without current: electroluminescence by daylight (lock-in).
 
-A frame with current minus the frames without it nearest in time, registered to it, shows what the
+A frame with current minus one without it that is near in time, registered to it, shows what the
 current adds. The light of the day drops out, its shot noise does not: it is in the variance of the
 difference.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.sequence.differences import Daylight, Pair, difference, fitted, registered
+from pv_inspect.sequence.differences import Pair, difference, fitted, registered
 from pv_inspect.sequence.frame import Frame
 from pv_inspect.sequence.modulation import LevelPictures, Modulation, find_modulation
 from pv_inspect.sequence.noise import NoiseModel
@@ -44,7 +44,7 @@ class LockIn:
     pairs : mapping of int to Pair
         The frames with current that have become differences.
     dark : mapping of int to str
-        The frames without current, and from which ones they were subtracted.
+        The frames without current, and from which frames they were subtracted.
     unused : mapping of int to str
         All other frames, with the reason.
     share : float
@@ -77,14 +77,13 @@ class LockIn:
         """
         pair = self.pairs.get(index)
         frame = exposed(index)
-        return frame if pair is None else difference(frame, pair, exposed, noise)
+        return frame if pair is None else difference(frame, pair, exposed(pair.dark), noise)
 
 
 def lock_in_of(
     pictures: LevelPictures,
     distinct: list[int],
     exposed: Callable[[int], Frame],
-    noise: NoiseModel,
     names: tuple[str, ...],
     wanted: bool | None,
 ) -> LockIn | None:
@@ -98,7 +97,6 @@ def lock_in_of(
         Frames that are no copies.
     exposed : callable
         Returns a frame as it was exposed.
-    noise : NoiseModel
     names : tuple of str
         Of all frames.
     wanted : bool or None
@@ -133,13 +131,13 @@ def lock_in_of(
     for index in on:
         frame = exposed(index)
         region = _enlarged(found, frame.image.shape)
-        pair = registered(frame, _nearest(index, off, taken), exposed)
-        pair, left = fitted(frame, pair, region, exposed, noise)
+        nearest = _nearest(index, off, taken)
+        without = exposed(nearest)
+        pair, left = fitted(frame, registered(frame, without, nearest), without, region)
         if left > _MOSTLY_DAY:
             unused[index] = (
                 "the daylight in it is too unlike that of "
-                f"{' and '.join(names[part.frame] for part in pair.daylight)}: what is left of it "
-                f"is {left:.1f} times the glow of the module"
+                f"{names[pair.dark]}: what is left of it is {left:.1f} times the glow of the module"
             )
         else:
             pairs[index] = pair
@@ -182,7 +180,7 @@ def lock_in_sentence(lock_in: LockIn | None, *, confirm: bool) -> str:
     )
 
 
-def _nearest(index: int, off: list[int], taken: set[int]) -> tuple[Daylight, ...]:
+def _nearest(index: int, off: list[int], taken: set[int]) -> int:
     """Return the nearest frame without current; one that no other frame has, if it is not far.
 
     Two differences with one frame share its noise on the module, which then passes for detail: with
@@ -194,11 +192,11 @@ def _nearest(index: int, off: list[int], taken: set[int]) -> tuple[Daylight, ...
     if abs(own - index) > abs(nearest - index) + _FURTHER:
         own = nearest
     taken.add(own)
-    return (Daylight(own, 1.0),)
+    return own
 
 
 def _used_by(index: int, pairs: Mapping[int, Pair], names: tuple[str, ...]) -> str:
-    users = [names[k] for k, pair in pairs.items() if any(p.frame == index for p in pair.daylight)]
+    users = [names[k] for k, pair in pairs.items() if pair.dark == index]
     if not users:
         return NEVER_NEAREST
     return f"without current: subtracted from {' and '.join(users[:2])}" + (

@@ -223,7 +223,6 @@ class FrameSequence:
             pictures,
             distinct,
             lambda index: sensor.prepared(decoded[index], scale),
-            noise,
             names,
             lock_in,
         )

@@ -96,7 +96,7 @@ def test_copies_are_told_in_one_sentence_not_frame_by_frame() -> None:
 
 def test_frames_without_current_are_told_in_one_sentence_not_frame_by_frame() -> None:
     made = made_inspection()
-    lock_in = LockIn({0: Pair(()), 2: Pair(())}, {1: "without current: subtracted from frame_0"})
+    lock_in = LockIn({0: Pair(1), 2: Pair(1)}, {1: "without current: subtracted from frame_0"})
     sequence: Any = replace(  # type: ignore[type-var]
         made.sequence, lock_in=lock_in, without_current=frozenset({1})
     )

@@ -19,7 +19,7 @@ WHY = "without current: subtracted from frame_000.tif"
 
 
 def by_day(sequence: FrameSequence) -> FrameSequence:
-    rest = {k: Pair(()) for k in range(len(sequence)) if k != 1}
+    rest = {k: Pair(1) for k in range(len(sequence)) if k != 1}
     return replace(sequence, lock_in=LockIn(rest, {1: WHY}))
 
 

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import inspect_steps
-from pv_inspect.sequence.differences import Daylight as Daylight_
 from pv_inspect.sequence.differences import Pair, fitted
 from pv_inspect.sequence.frame import Frame
 from pv_inspect.sequence.frame_motion import motion_between
 from pv_inspect.sequence.lock_in import NEVER_NEAREST, NOT_BETWEEN, lock_in_sentence
 from pv_inspect.sequence.modulation import LevelPictures, Modulation, find_modulation
-from pv_inspect.sequence.noise import NoiseModel
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
@@ -119,8 +117,8 @@ def test_every_frame_with_current_gets_one_without_of_its_own(sequence: FrameSeq
     """What two differences share of the noise would pass for detail of the module."""
     lock_in = sequence.lock_in
     assert lock_in is not None
-    subtracted = {k: [p.frame for p in pair.daylight] for k, pair in lock_in.pairs.items()}
-    assert subtracted == {1: [0], 2: [3], 4: [5], 8: [6]}
+    subtracted = {k: pair.dark for k, pair in lock_in.pairs.items()}
+    assert subtracted == {1: 0, 2: 3, 4: 5, 8: 6}
     assert lock_in.unused == {7: NOT_BETWEEN}
     assert lock_in.dark[5] == "without current: subtracted from f_04.tif"
     assert set(lock_in.dark) == {0, 3, 5, 6}
@@ -221,11 +219,8 @@ def test_daylight_that_does_not_fit_leaves_more_than_the_glow() -> None:
     day = made("10", SETTINGS.without_motion(), el_share=0.2)
     on, off = (Frame(frame / np.float32(4095), np.ones(frame.shape, bool)) for frame in day.frames)
     region = cv2.resize(day.night[0], on.image.shape[::-1]) > 200
-    noise = NoiseModel(1e-6, 1e-4)
-    left = []
-    for dark in (off, Frame(off.image[::-1].copy(), off.valid)):
-        pair = Pair((Daylight_(1, 1.0),))
-        left.append(fitted(on, pair, region, lambda _, dark=dark: dark, noise)[1])
+    upside_down = Frame(off.image[::-1].copy(), off.valid)
+    left = [fitted(on, Pair(1), dark, region)[1] for dark in (off, upside_down)]
     assert left[0] < 0.1
     assert left[1] > 0.5
 
