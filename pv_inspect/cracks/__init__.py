@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
 from pv_inspect.common.work import Progress
+from pv_inspect.cracks.blocks import cut_off_blocks, with_block_edges
 from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
 from pv_inspect.cracks.features import (
     CellFeatures,
@@ -177,6 +178,8 @@ def read_cracks(
     rows, cols = images.shape[:2]
     usual = float(np.median(images))
     maps = np.zeros_like(images, dtype=np.float32)
+    blocks = np.zeros(images.shape, bool)
+    width = tiles.grid.pixels_per_unit
     novelty = np.full((rows, cols), np.nan)
     bars = np.zeros(images.shape[2:], np.float32)
     for n, (row, col) in enumerate(np.ndindex(rows, cols), start=1):
@@ -186,7 +189,10 @@ def read_cracks(
             bars += bar / (rows * cols)
         else:
             probability = detector.probability(tile)
-        maps[row, col] = np.clip(probability, 0.0, 1.0)
+        blocks[row, col] = cut_off_blocks(images[row, col])
+        maps[row, col] = with_block_edges(
+            np.clip(probability, 0.0, 1.0), blocks[row, col], point.threshold, width
+        )
         novelty[row, col] = novelty_of(detector, tile)
         yield Progress(n / (rows * cols), "looking for cracks")
     # All cells of a module have the same busbars: together they show them better than one by one.
@@ -201,7 +207,7 @@ def read_cracks(
             point.threshold,
             row=row,
             col=col,
-            cell_width_px=tiles.grid.pixels_per_unit,
+            cell_width_px=width,
             usual_intensity=usual,
             busbars=busbars,
             cell_width_mm=settings.cell_width_mm,
@@ -210,6 +216,7 @@ def read_cracks(
             least_score=point.least_score,
             novelty=float(novelty[row, col]),
             support=None if tiles.support is None else tiles.support[row, col],
+            blocks=blocks[row, col],
         )
         for row, col in np.ndindex(rows, cols)
     )

@@ -17,6 +17,7 @@ from pv_inspect.cracks.areas import (
     support_on,
     unsupported_share,
 )
+from pv_inspect.cracks.blocks import LEAST_BLOCK, cut_off_blocks
 from pv_inspect.cracks.centreline import branches, length_of
 from pv_inspect.cracks.isolation import Busbars
 
@@ -119,6 +120,9 @@ class CellFeatures:
     novelty : float
         How far the look of the cell is from all that the detector has learnt; from 1 on its
         cracks can't be judged. NaN if the detector does not say.
+    cut_off_share : float
+        Share of the cell that is dark and ends at a sharp, straight edge: cut off, or broken off
+        (`cut_off_blocks`). 0 where there are no marks; NaN in a table of an older version.
     """
 
     row: int
@@ -138,6 +142,7 @@ class CellFeatures:
     unsure: bool = False
     weak_marks: bool = False
     novelty: float = float("nan")
+    cut_off_share: float = float("nan")
 
     @property
     def has_marks(self) -> bool:
@@ -184,6 +189,8 @@ class CellFeatures:
         """
         if self.dark:
             return "dark"
+        if self.has_marks and self.cut_off_share >= LEAST_BLOCK:
+            return "C"
         return _class_of(self.crack_instances, self.isolated_area_share, self.isolated_brightness)
 
     @property
@@ -293,6 +300,7 @@ def measure_cell(
     least_length_cells: float = OperatingPoint.least_length_cells,
     least_score: float = OperatingPoint.least_score,
     novelty: float = math.nan,
+    blocks: NDArray[np.bool_] | None = None,
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -321,6 +329,8 @@ def measure_cell(
         See `OperatingPoint`.
     novelty : float
         See `CellFeatures`.
+    blocks : (h, w) bool, optional
+        Of `cut_off_blocks`, looked for if not given.
 
     Returns
     -------
@@ -336,13 +346,16 @@ def measure_cell(
     lengths = [sum(map(length_of, chains)) / cell_width_px for chains in lines]
     length, longest = sum(lengths), max(lengths, default=0.0)
     cut_off, brightness = isolated(tile, marks, busbars)
+    if marks and blocks is None:
+        blocks = cut_off_blocks(tile)
+    block_share = float(blocks.mean()) if marks and blocks is not None else 0.0
     unsupported, unsure = float("nan"), False
     if support is not None:
         shares = [unsupported_share(chains, support) for chains in lines]
         unsupported = unsupported_share([chain for chains in lines for chain in chains], support)
         if readable and not marks:
             unsure = unsupported >= _UNSUPPORTED_SHARE
-        elif marks:
+        elif marks and block_share < LEAST_BLOCK:  # a broad dark area is seen in any frame
             firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNSUPPORTED_SHARE]
             without = _class_of(len(firm), *isolated(tile, firm, busbars))
             unsure = without != _class_of(len(marks), cut_off, brightness)
@@ -367,6 +380,7 @@ def measure_cell(
         crack_support=support_on(support, marks),
         unsupported_share=unsupported,
         unsure=unsure,
-        weak_marks=bool(marks) and not by_hand and weak,
+        weak_marks=bool(marks) and not by_hand and weak and block_share < LEAST_BLOCK,
         novelty=novelty,
+        cut_off_share=block_share,
     )

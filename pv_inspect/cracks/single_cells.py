@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.csv_tables import csv_text
 from pv_inspect.cracks import BusbarFinder, CrackDetector, novelty_of, operating_point_of
+from pv_inspect.cracks.blocks import cut_off_blocks, with_block_edges
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
 from pv_inspect.cracks.module_pictures import module_in
@@ -201,14 +202,15 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
         busbars = busbars_from_map(bars)
     else:
         probability, busbars = detector.probability(image), busbars_from_image(image)
-    probability = np.clip(probability, 0, 1)
+    width, blocks = float(image.shape[1]), cut_off_blocks(image)
+    probability = with_block_edges(np.clip(probability, 0, 1), blocks, point.threshold, width)
     features = measure_cell(
         image,
         probability,
         point.threshold,
         row=0,
         col=0,
-        cell_width_px=float(image.shape[1]),
+        cell_width_px=width,
         usual_intensity=_USUAL_OF_BRIGHT * float(np.percentile(image, 95)),
         busbars=busbars,
         cell_width_mm=settings.cell_width_mm,
@@ -216,6 +218,7 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
         least_length_cells=point.least_length_cells,
         least_score=point.least_score,
         novelty=novelty_of(detector, image),
+        blocks=blocks,
     )
     return PlainCell(path.stem, probability, features)
 

@@ -28,7 +28,9 @@ A                cracks that cut off less than 1 % of the cell even if no curren
                  what they would cut off is at least 0.8 times as bright as the rest: connected
 B                what the cracks would cut off is 0.4 to 0.8 times as bright as the rest: badly
                  connected
-C                it is less than 0.4 times as bright as the rest: cut off
+C                it is less than 0.4 times as bright as the rest: cut off; or a part of at least
+                 1 % of the cell is as dark and ends at a sharp, straight edge, whatever the marks:
+                 cut off, or broken off (chipped corners)
 unknown          cracks, but no busbars were found
 {_UNDECIDABLE}  the marks are too short or too faint for a class, or the cell looks unlike all
                  that the detector has learnt, or
@@ -114,6 +116,8 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
         else:
             bright = "" if math.isnan(brightness) else f", {brightness:.0%} as bright as the rest"
             pairs.append(("cut off at worst", f"{cut_off:.1%} of the cell{bright}"))
+    if cell.cut_off_share > 0:
+        pairs.append(("cut off, by its edge", f"{cell.cut_off_share:.1%} of the cell"))
     dark = f"{cell.dark_area_share:.1%} of the cell, largest piece {cell.largest_dark_share:.1%}"
     pairs += [
         ("dark area", dark),

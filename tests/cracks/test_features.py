@@ -196,7 +196,9 @@ def test_features_survive_a_table_and_old_tables_can_be_read() -> None:
     assert np.isnan(from_texts(0, 0, old).isolated_area_share)
 
 
-def supported(mask: np.ndarray, support: np.ndarray, beyond: float = 0.2) -> CellFeatures:
+def supported(
+    mask: np.ndarray, support: np.ndarray, beyond: float = 0.2, blocks: np.ndarray | None = None
+) -> CellFeatures:
     """A cell with a busbar at row 100 whose part above row 30 is dark, and a support map."""
     tile = np.full(mask.shape, 0.5, np.float32)
     tile[:30] = 0.5 * beyond
@@ -210,6 +212,8 @@ def supported(mask: np.ndarray, support: np.ndarray, beyond: float = 0.2) -> Cel
         usual_intensity=0.5,
         busbars=busbars(100),
         support=support.astype(np.float32),
+        # The classes that hang on the marks alone.
+        blocks=np.zeros(mask.shape, bool) if blocks is None else blocks,
     )
 
 
@@ -255,6 +259,23 @@ def test_a_class_that_would_be_the_same_without_the_unsupported_crack_is_not_uns
     assert found.unsupported_share == pytest.approx(60 / 260, abs=0.02)
     only = supported(drawn(HARMLESS), support)
     assert (only.crack_class, only.marked_class, only.supported) == ("unsure", "A", False)
+
+
+def test_a_broad_dark_part_is_cut_off_whether_its_crack_is_supported_or_not() -> None:
+    dark = np.zeros((SIDE, SIDE), bool)
+    dark[:30] = True
+    found = supported(drawn(CUTTING), half_supported(60), blocks=dark)
+    assert (found.crack_class, found.unsure) == ("C", False)
+    nothing = supported(np.zeros((SIDE, SIDE), bool), half_supported(0), blocks=dark)
+    assert nothing.crack_class == "none"  # a person has erased the marks
+
+
+def test_a_table_from_before_the_cut_off_parts_is_read() -> None:
+    values = dict(zip(FEATURES, texts(measured(drawn(CUTTING))), strict=True))
+    values.pop("cut_off_share")
+    old = from_texts(0, 0, values)
+    assert np.isnan(old.cut_off_share)
+    assert old.crack_class == "unknown"
 
 
 def test_without_a_support_map_nothing_is_unsure() -> None:

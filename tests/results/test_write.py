@@ -99,7 +99,9 @@ def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path
     assert (cell["crack_class"], cell["marked_class"]) == ("unknown", "unknown")
     assert any(line.startswith("can't be judged ") for line in record["class_rule"])
     head = (tmp_path / "out" / "cells.csv").read_text().splitlines()[0]
-    assert head.endswith("unsupported_share,unsure,weak_marks,novelty,crack_class,marked_class")
+    assert head.endswith(
+        "unsupported_share,unsure,weak_marks,novelty,cut_off_share,crack_class,marked_class"
+    )
 
 
 def test_a_result_that_does_not_say_the_least_extent_can_be_read(tmp_path: Path) -> None:
