@@ -269,4 +269,5 @@ def test_no_long_line_takes_more_than_a_moment(text: str) -> None:
     for read in (yaml_entries, xml_entries):
         with suppress(ValueError):
             read(text)
-    assert process_time() - begun < 5.0
+    # At most 0.4 s here, 1.4 s on a busy machine; what goes back at every letter takes hours.
+    assert process_time() - begun < 30.0
