@@ -11,10 +11,17 @@ from nbclient import NotebookClient
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
-def executed(name: str) -> list[Any]:
-    """Outputs of all cells in their order; fails where a cell fails."""
+def executed(name: str, folder: Path = EXAMPLES) -> list[Any]:
+    """Outputs of all cells in their order; fails where a cell fails.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path
+        Where it runs: beside it lies ``sample_data/module``.
+    """
     notebook = nbformat.read(EXAMPLES / name, 4)
-    where = {"metadata": {"path": str(EXAMPLES)}}
+    where = {"metadata": {"path": str(folder)}}
     NotebookClient(notebook, timeout=300, kernel_name="python3", resources=where).execute()
     return [output for cell in notebook.cells for output in cell.get("outputs", [])]
 

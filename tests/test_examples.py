@@ -9,6 +9,7 @@ import nbformat
 import numpy as np
 import pytest
 
+from pv_inspect.simulate import SimulatedSequence
 from tests.notebooks import EXAMPLES, executed, shown
 
 NOTEBOOKS = sorted(path.name for path in EXAMPLES.glob("*.ipynb"))
@@ -20,6 +21,16 @@ def alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+
+
+@pytest.fixture
+def beside_a_small_module(small_sequence: tuple[SimulatedSequence, Path], tmp_path: Path) -> Path:
+    """Return a folder beside a sample that costs a tenth; the real one is the third notebook's."""
+    (tmp_path / "sample_data").mkdir()
+    (tmp_path / "sample_data" / "module").symlink_to(small_sequence[1], target_is_directory=True)
+    folder = tmp_path / "examples"
+    folder.mkdir()
+    return folder
 
 
 def check_run(outputs: list[Any], plots: int) -> None:
@@ -43,15 +54,15 @@ def test_there_are_three_notebooks_without_outputs() -> None:
 
 
 @pytest.mark.slow
-def test_a_first_look() -> None:
-    outputs = executed("01_first_look.ipynb")
+def test_a_first_look(beside_a_small_module: Path) -> None:
+    outputs = executed("01_first_look.ipynb", beside_a_small_module)
     check_run(outputs, plots=4)
     assert any("cracks suspected in" in page for page in shown(outputs, "text/html"))
 
 
 @pytest.mark.slow
-def test_tuning_kappa_and_lambda() -> None:
-    outputs = executed("02_tuning_kappa_and_lambda.ipynb")
+def test_tuning_kappa_and_lambda(beside_a_small_module: Path) -> None:
+    outputs = executed("02_tuning_kappa_and_lambda.ipynb", beside_a_small_module)
     check_run(outputs, plots=4)
     pages = shown(outputs, "text/html")
     assert any("Still to run: register, reconstruct, cells, cracks." in page for page in pages)
