@@ -1,12 +1,13 @@
 """Modules with wide gaps, simulated: they are found without being told, or refused.
 
-    python benchmarks/gapped_modules.py [--seeds 0 100] [--jobs 2] [--frames 6]
+    python benchmarks/gapped_modules.py [--seeds 0 100] [--jobs 2] [--frames 6] [--guess]
 
 Half-cut modules with centre gaps of 0 to 30 mm, mini-modules with 2 to 20 % of the pitch between
 all cells, third-cut cells and plain ones of 3 x 3 to 12 x 24 cells are run up to the registered
 frames with their rows, columns and cell aspect alone. "right" is a module whose gaps are found to
 0.02 cell widths and whose crossing points lie within 0.3 LR px (RMS) of the truth; "silent" one
-that is wrong without a word. Times are CPU seconds of the run.
+that is wrong without a word. Times are CPU seconds of the run. With ``--guess`` rows, columns and
+cell aspect are not given either.
 """
 
 from __future__ import annotations
@@ -131,6 +132,9 @@ def _gaps_right(found: ModuleLayout, true: ModuleLayout) -> bool:
 
 def _error_px(registration: Registration, made: SimulatedSequence) -> float:
     """RMS distance of the crossing points from the truth, whichever way up the module lies."""
+    found, true = registration.layout, made.settings.layout
+    if (found.rows, found.cols) != (true.rows, true.cols):
+        return float("inf")
     errors = []
     for i in np.flatnonzero(registration.used):
         points = registration.crossings_px(int(i))
@@ -139,8 +143,8 @@ def _error_px(registration: Registration, made: SimulatedSequence) -> float:
     return float(np.sqrt(np.mean(errors)))
 
 
-def trial(seed: int, n_frames: int) -> Answer:
-    """Simulate one module and run it without telling its gaps."""
+def trial(seed: int, n_frames: int, guess: bool) -> Answer:
+    """Simulate one module and run it without telling its gaps, or anything of its cells."""
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
     kind, settings = drawn(seed, n_frames)
@@ -151,23 +155,22 @@ def trial(seed: int, n_frames: int) -> Answer:
         write_sequence(made, folder)
         # The sidecar may say nothing of gaps.
         shape = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
-        (folder / "module.json").write_text(json.dumps(shape), encoding="utf-8")
+        (folder / "module.json").write_text(json.dumps({} if guess else shape), encoding="utf-8")
         return _answered(seed, kind, made, FrameSequence.open(folder))
 
 
 def _answered(seed: int, kind: str, made: SimulatedSequence, frames: FrameSequence) -> Answer:
-    true, layout = made.settings.layout, made.settings.layout.plain
-    given = Settings(rows=layout.rows, cols=layout.cols, cell_aspect=layout.cell_aspect)
+    true = made.settings.layout
     begun = process_time()
     answer, rms, words = "refused", np.nan, ""
-    steps = inspect_steps(frames, given)
+    steps = inspect_steps(frames, Settings())
     try:
         for step in steps:
             if isinstance(step.partial, Registration):
                 registration = step.partial
                 rms = _error_px(registration, made)
                 found = registration.layout
-                right = _gaps_right(found, true) and rms <= MOST_RMS_PX
+                right = rms <= MOST_RMS_PX and _gaps_right(found, true)
                 answer = "right" if right else "silent"
                 words = f"{int(registration.used.sum())} used; {found.gaps_in_words}"
                 break
@@ -186,11 +189,14 @@ def main() -> int:
     parser.add_argument("--seeds", nargs=2, type=int, default=(0, 100), metavar=("FIRST", "END"))
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--frames", type=int, default=6)
+    parser.add_argument("--guess", action="store_true")
     args = parser.parse_args()
     answers: list[Answer] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(args.jobs, mp_context=context) as pool:
-        for one in pool.map(partial(trial, n_frames=args.frames), range(*args.seeds)):
+        for one in pool.map(
+            partial(trial, n_frames=args.frames, guess=args.guess), range(*args.seeds)
+        ):
             answers.append(one)
             print(
                 f"{one.seed:4d} {one.kind:9} {one.true.rows:2d} x {one.true.cols:2d} "

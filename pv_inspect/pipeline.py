@@ -22,7 +22,7 @@ from pv_inspect.common.work import Progress, result_of
 from pv_inspect.cracks import CrackMap, read_cracks
 from pv_inspect.detection.crossings import Crossings
 from pv_inspect.detection.detect import detect
-from pv_inspect.detection.layout_guess import guess_layout, is_known
+from pv_inspect.detection.layout_guess import LayoutGuess, guess_layout, is_known
 from pv_inspect.detection.wide_gaps import layout_with_gaps
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
@@ -110,6 +110,7 @@ def inspect_steps(
         layout=known.layout,
         layout_guessed=known.guessed,
         gaps_found=known.gaps_found,
+        runner_up=known.runner_up,
     )
     todo = [stage for stage in stages() if stage in state.stale(settings)]
     seconds = dict(state.seconds)
@@ -163,21 +164,22 @@ class _Known(NamedTuple):
     layout: ModuleLayout
     guessed: bool
     gaps_found: bool
+    runner_up: ModuleLayout | None = None
 
 
 def _layout(sequence: FrameSequence, settings: Settings, start: Inspection | None) -> _Known:
     """Return the layout that was given, or else guessed, with the wide gaps that frames show."""
     if start is not None and Stage.DETECT not in start.stale(settings):
-        return _Known(start.layout, start.layout_guessed, start.gaps_found)
-    guessed = not is_known(sequence, settings)
-    if guessed:
-        layout = guess_layout(sequence, settings, settings.module_at).layout
-    else:
-        layout = sequence.layout(settings)
+        return _Known(start.layout, start.layout_guessed, start.gaps_found, start.runner_up)
+    guess: LayoutGuess | None = None
+    if not is_known(sequence, settings):
+        guess = guess_layout(sequence, settings, settings.module_at)
+    layout = sequence.layout(settings) if guess is None else guess.layout
+    runner_up = None if guess is None else guess.runner_up
     if sequence.says_gaps(settings):
-        return _Known(layout, guessed, False)
+        return _Known(layout, guess is not None, False, runner_up)
     wide = layout_with_gaps(sequence, layout, settings.module_at)
-    return _Known(wide, guessed, wide != layout.plain)
+    return _Known(wide, guess is not None, wide != layout.plain, runner_up)
 
 
 def _detect(state: Inspection) -> Generator[Progress, None, Crossings]:

@@ -24,7 +24,16 @@ from pv_inspect.detection.line_profiles import (
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["proposed_layouts"]
+__all__ = [
+    "ALIKE",
+    "CELL_GAPS",
+    "LEAST_CELL_GAP_PX",
+    "REACH_PX",
+    "WIDTHS",
+    "columns_of",
+    "gap_between_all",
+    "proposed_layouts",
+]
 
 Array = NDArray[np.float64]
 
@@ -113,7 +122,7 @@ def _hypotheses(module: NDArray[np.float32], side_px: float, n: int) -> list[_Ga
             wider.append(_Gaps(gain, after, good))
     wider.sort(key=lambda one: -one.score)
     found += wider[:PROPOSALS]
-    between, correlation = _gap_between_all(module, n)
+    between, correlation = gap_between_all(columns_of(module), n)
     if correlation > LEAST_CORRELATION and between * side_px / n > LEAST_CELL_GAP_PX:
         found.append(_Gaps(correlation, between=between))
     return found
@@ -125,12 +134,16 @@ def _depth_of_lines(depth: Array, places: Array) -> float:
     return float(np.minimum(lines, np.median(lines)).mean())
 
 
-def _gap_between_all(module: NDArray[np.float32], n: int) -> tuple[float, float]:
+def columns_of(module: NDArray[np.float32]) -> Array:
+    """Brightness of the columns of a rectified module."""
+    return np.asarray(np.median(module, axis=0), np.float64)
+
+
+def gap_between_all(bright: Array, n: int) -> tuple[float, float]:
     """Share of the pitch that is dark between all of n cells, and how well it explains the module.
 
-    The score is the correlation of the brightness with the cells of that width.
+    The score is the correlation of the brightness of the columns with the cells of that width.
     """
-    bright = np.median(module.astype(np.float64), axis=0)
     # Cells differ in brightness, and lenses shade: every place is compared with its surroundings.
     pitch = np.ones((1, round(len(bright) / n) | 1), np.uint8)
     bright = bright / np.maximum(cv2.dilate(bright[None], pitch)[0], 1e-6)

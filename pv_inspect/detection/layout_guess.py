@@ -7,6 +7,7 @@ cells and the edges of gaps in single frames decide.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
@@ -44,8 +45,8 @@ Array = NDArray[np.float64]
 MAX_FRAMES = 6
 """Frames that are looked at, spread over the sequence."""
 MAX_CANDIDATES = 8
-USUAL_ASPECTS = (1.0, 2.0, 0.5)
-"""Width over height of whole cells and of cells cut in half, either way."""
+USUAL_ASPECTS = (1.0, 2.0, 0.5, 3.0, 1 / 3)
+"""Width over height of whole cells and of cells cut in two and three, either way."""
 SNAP = 0.12
 """A cell aspect this near to a usual one is taken for it; the perspective leaves it uncertain."""
 ASPECT_SIGMA = 0.06
@@ -56,6 +57,8 @@ MIN_SCORE = 0.02
 """A layout with less is no candidate."""
 MIN_CONFIDENCE = 0.4
 """With less a guess is refused."""
+CLOSE = 0.3
+"""Share of the best score from which on the next best layout is named to the user."""
 MAX_DISTANCE = 0.01
 """Median distance of the contour from a rectangle, in lengths of a side."""
 CLEAR = 0.25
@@ -72,16 +75,20 @@ class LayoutGuess:
     Parameters
     ----------
     layout : ModuleLayout
-        The most likely one.
+        The most likely rows, columns and cell aspect; how wide its wide gaps are is measured by
+        `pv_inspect.detection.wide_gaps`.
     confidence : float
         1 - score of the next best layout / score of this one, less where no grid is clear; 0 to 1.
     alternatives : tuple of ModuleLayout
         Other layouts, more likely ones first.
+    runner_up : ModuleLayout or None
+        The first of them, if its gaps are in place too and it is nearly as likely.
     """
 
     layout: ModuleLayout
     confidence: float
     alternatives: tuple[ModuleLayout, ...]
+    runner_up: ModuleLayout | None = None
 
 
 @dataclass(frozen=True)
@@ -137,7 +144,7 @@ def guess_layout(
         if len(views) == MAX_FRAMES:
             break
         try:
-            view = view_of(sequence.frame(index).image, inside)
+            view = view_of(sequence.frame(index).image, inside, wide_gaps=True)
         except OutlineError as error:
             reason = f"{sequence.names[index]}: {error}"
             continue
@@ -154,11 +161,12 @@ def guess_layout(
     candidates = ranked_layouts(views, known)
     # Even a guess with half of the lines brings the pose that shows all of them sharply.
     for layout, _ in candidates:
-        sharper = _sharpened(views, layout)
-        if sharper:
+        held = _in_place(views, layout)
+        if held:
+            sharper = [scored_view(view.image, pose, wide_gaps=True) for view, pose in held]
             candidates = ranked_layouts(sharper, known)
             break
-    good = [pair for pair in candidates if _sharpened(views, pair[0])]
+    good = [pair for pair in candidates if _in_place(views, pair[0])]
     confidence = 0.0
     if good:
         rest = good[1][1] if len(good) > 1 else 0.0
@@ -170,8 +178,11 @@ def guess_layout(
             + (f" ({seen} perhaps)" if seen else "")
             + ": give rows and cols (--rows, --cols)."
         )
-    others = tuple(layout for layout, _ in [*good[1:], *candidates] if layout != good[0][0])
-    return LayoutGuess(good[0][0], confidence, tuple(dict.fromkeys(others))[:3])
+    best = good[0][0].plain
+    others = [layout.plain for layout, _ in [*good[1:], *candidates]]
+    alternatives = tuple(dict.fromkeys(other for other in others if other != best))[:3]
+    close = alternatives and len(good) > 1 and good[1][1] > CLOSE * good[0][1]
+    return LayoutGuess(best, confidence, alternatives, alternatives[0] if close else None)
 
 
 def layouts_in(image: NDArray[np.float32]) -> list[tuple[ModuleLayout, float]]:
@@ -195,14 +206,16 @@ def _known(sequence: FrameSequence, settings: Settings) -> dict[str, float]:
     return {**sequence.layout_hint, **{k: v for k, v in given.items() if v is not None}}
 
 
-def view_of(image: NDArray[np.float32], inside: tuple[float, float] | None) -> View:
+def view_of(
+    image: NDArray[np.float32], inside: tuple[float, float] | None, wide_gaps: bool = False
+) -> View:
     """Take the outline in which the lines of a grid are clearest."""
     best: View | None = None
     for outline in find_outlines(image, inside):
         if outline.cut:
             continue
         pose, distance = fit_pose(outline, UNIT, image.shape, 0)
-        view = scored_view(image, pose)
+        view = scored_view(image, pose, wide_gaps)
         if distance > MAX_DISTANCE * np.sqrt(cv2.contourArea(unit_corners(pose))):
             continue
         if best is None or _strength(view) > _strength(best):
@@ -216,7 +229,7 @@ def view_of(image: NDArray[np.float32], inside: tuple[float, float] | None) -> V
     return best
 
 
-def scored_view(image: NDArray[np.float32], pose: Pose) -> View:
+def scored_view(image: NDArray[np.float32], pose: Pose, wide_gaps: bool = False) -> View:
     """Score each number of cells on the module seen through a pose of the unit square."""
     corners = unit_corners(pose)
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
@@ -224,8 +237,8 @@ def scored_view(image: NDArray[np.float32], pose: Pose) -> View:
     return View(
         image,
         pose,
-        line_scores(rectified(image, pose, across_px, True), across_px),
-        line_scores(rectified(image, pose, down_px, False), down_px),
+        line_scores(rectified(image, pose, across_px, True), across_px, wide_gaps),
+        line_scores(rectified(image, pose, down_px, False), down_px, wide_gaps),
         pose.aspect,
     )
 
@@ -236,24 +249,43 @@ def _strength(view: View) -> float:
 
 def ranked_layouts(views: list[View], known: dict[str, float]) -> list[tuple[ModuleLayout, float]]:
     """Likely layouts with their scores, best first."""
-    across = np.mean([view.across.base for view in views], axis=0)
-    down = np.mean([view.down.base for view in views], axis=0)
-    finer_across = np.mean([view.across.finer for view in views], axis=0)
-    finer_down = np.mean([view.down.finer for view in views], axis=0)
+    across, down = [view.across for view in views], [view.down for view in views]
+    score_across, score_down = (np.mean([s.base for s in side], axis=0) for side in (across, down))
+    finer_across, finer_down = (np.mean([s.finer for s in side], axis=0) for side in (across, down))
+    gaps_across, gaps_down = _typical_gaps(across), _typical_gaps(down)
     ratio = float(np.median([view.ratio for view in views]))
     factors = np.array(FINER, np.float64)
     found = []
-    for n_rows, n_cols in np.argwhere(down[:, None] * across[None, :] > MIN_SCORE).tolist():
+    likely = np.argwhere(score_down[:, None] * score_across[None, :] > MIN_SCORE)
+    for n_rows, n_cols in likely.tolist():
         if n_rows != known.get("rows", n_rows) or n_cols != known.get("cols", n_cols):
             continue
-        seen = ratio * n_rows / n_cols
+        middle_x, between_x = gaps_across[n_cols].tolist()
+        middle_y, between_y = gaps_down[n_rows].tolist()
+        seen = ratio * (n_rows + middle_y - between_y) / (n_cols + middle_x - between_x)
         aspect, weight = _cell_aspect(seen, known.get("cell_aspect"))
         score = weight
-        score *= down[n_rows] - (_usual(seen * factors) * finer_down[n_rows]).max()
-        score *= max(across[n_cols] - (_usual(seen / factors) * finer_across[n_cols]).max(), 0.0)
+        score *= score_down[n_rows] - (_usual(seen * factors) * finer_down[n_rows]).max()
+        score *= max(
+            score_across[n_cols] - (_usual(seen / factors) * finer_across[n_cols]).max(), 0.0
+        )
         if score > MIN_SCORE:
-            found.append((ModuleLayout(n_rows, n_cols, aspect), float(score)))
+            layout = ModuleLayout(
+                n_rows,
+                n_cols,
+                aspect,
+                ((n_rows // 2, middle_y / aspect),) if middle_y else (),
+                ((n_cols // 2, middle_x),) if middle_x else (),
+                (between_x, between_y / aspect),
+            )
+            found.append((layout, float(score)))
     return sorted(found, key=lambda pair: -pair[1])[:MAX_CANDIDATES]
+
+
+def _typical_gaps(sides: list[LineScores]) -> Array:
+    """Gap in the middle and between all cells that most views see, per number of cells, (n, 2)."""
+    seen = np.median([[side.middle, side.between] for side in sides], axis=0)
+    return np.asarray(seen.T, np.float64)
 
 
 def _usual(aspects: Array) -> Array:
@@ -275,21 +307,34 @@ def _cell_aspect(seen: float, known: float | None) -> tuple[float, float]:
     return round(seen, 2), UNUSUAL_WEIGHT
 
 
-def _sharpened(views: list[View], layout: ModuleLayout) -> list[View]:
-    """Score some frames again with poses refined on the gaps of a layout.
+def _in_place(views: list[View], layout: ModuleLayout) -> list[tuple[View, Pose]]:
+    """Refine the pose of the unit square on the gaps of a layout in some frames.
 
-    Returns an empty list unless the gaps are in place in most of these frames.
+    Returns an empty list unless the gaps are in place in most of these frames, with the wide ones
+    or without.
     """
-    held = []
     tried = views[:CHECKED_FRAMES]
-    for view in tried:
-        start = view.pose.turned(UNIT.size, layout.size, 0)
-        try:
-            pose = detect_in_frame(view.image, layout, start, whole=True).pose
-        except OutlineError:
-            continue
-        held.append(scored_view(view.image, pose.turned(layout.size, UNIT.size, 0)))
-    return held if 2 * len(held) > len(tried) else []
+    held = [(view, pose) for view in tried if (pose := _pose_on(view, layout)) is not None]
+    if 2 * len(held) > len(tried):
+        return held
+    return [] if layout == layout.plain else _in_place(views, layout.plain)
+
+
+def _pose_on(view: View, layout: ModuleLayout) -> Pose | None:
+    """Refine the pose of the unit square on the gaps of a layout; None if they are not there."""
+    to_unit = _to_unit(layout)
+    start = Pose(view.pose.camera, view.pose.homography @ to_unit)
+    with suppress(OutlineError):
+        pose = detect_in_frame(view.image, layout, start, whole=True).pose
+        return Pose(pose.camera, pose.homography @ np.linalg.inv(to_unit))
+    return None
+
+
+def _to_unit(layout: ModuleLayout) -> Array:
+    """Homography from the module plane to the unit square that the cells fill."""
+    (left, top), _, (right, bottom), _ = layout.outline
+    x, y = 1 / (right - left), 1 / (bottom - top)
+    return np.array([[x, 0, -x * left], [0, y, -y * top], [0, 0, 1]])
 
 
 def _words(layout: ModuleLayout) -> str:

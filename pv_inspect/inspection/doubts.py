@@ -78,7 +78,7 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     if inspection.layout_guessed:
         found.append(
             f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "
-            f"aspect {layout.cell_aspect:g} guessed, please confirm."
+            f"aspect {layout.cell_aspect:g} guessed{_runner_up(inspection)}, please confirm."
         )
     if inspection.gaps_found:
         found.append(_seen_gaps(layout))
@@ -118,6 +118,13 @@ def _no_super_resolution(registration: Registration, shape: tuple[int, int]) -> 
             "between them."
         )
     return ""
+
+
+def _runner_up(inspection: Inspection) -> str:
+    other = inspection.runner_up
+    if other is None:
+        return ""
+    return f" ({other.rows} x {other.cols} of aspect {other.cell_aspect:g} fit nearly as well)"
 
 
 def _seen_gaps(layout: ModuleLayout) -> str:

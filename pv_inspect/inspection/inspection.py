@@ -73,6 +73,8 @@ class Inspection:
         What a user should know about the result, one sentence each.
     layout_guessed : bool
         Whether rows and columns were guessed from the frames because nobody gave them.
+    runner_up : ModuleLayout or None
+        A layout that fits the frames nearly as well as the guessed one.
     gaps_found : bool
         Whether the wide gaps of the layout were seen in the frames; nobody gave them.
     doubts : tuple of str
@@ -95,6 +97,7 @@ class Inspection:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     layout_guessed: bool = False
+    runner_up: ModuleLayout | None = None
     gaps_found: bool = False
     doubts: tuple[str, ...] = ()
     stored: StoredResult | None = None

@@ -101,6 +101,7 @@ def _read_result(folder: Path) -> Inspection:
     probability = _read_image(folder / "cracks.tif", grid.shape)
     with _damaged(folder / "cells.csv"):
         cells = _cells_from(read_text(folder / "cells.csv"), layout)
+    other = record.runner_up
     return Inspection(
         None,
         settings,
@@ -118,6 +119,7 @@ def _read_result(folder: Path) -> Inspection:
         seconds={stage: t for stage, t in record.seconds.items() if stage != "total"},
         warnings=tuple(record.warnings),
         layout_guessed=record.layout_guessed,
+        runner_up=None if other is None else ModuleLayout(**other.model_dump()),
         gaps_found=record.gaps_found,
         doubts=tuple(record.doubts),
         # With what an earlier version did not say.

@@ -67,6 +67,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "lambda_curve": reconstruction.lambda_curve,
         "vignetting": None if photometry is None else vars(photometry.vignetting),
         "layout_guessed": inspection.layout_guessed,
+        "runner_up": None if inspection.runner_up is None else asdict(inspection.runner_up),
         "gaps_found": inspection.gaps_found,
         "lock_in": inspection.frames.lock_in is not None,
         "crack_detector": cracks.detector,

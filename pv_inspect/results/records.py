@@ -168,6 +168,7 @@ class ResultRecord(StoredRecord):
     lambda_curve: tuple[_OpenPair, ...] = ()
     vignetting: VignettingRecord | None = None
     layout_guessed: bool = False
+    runner_up: LayoutRecord | None = None
     gaps_found: bool = False
     lock_in: bool = False
     seconds: dict[str, Number]

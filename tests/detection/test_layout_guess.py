@@ -9,6 +9,7 @@ import pytest
 
 from pv_inspect.detection.layout_guess import guess_layout, is_known
 from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, simulated
@@ -58,6 +59,45 @@ def test_rows_columns_and_cell_aspect_are_read_off_the_gaps_not_the_busbars(
     assert (guess.layout.rows, guess.layout.cols, guess.layout.cell_aspect) == (rows, cols, aspect)
     assert guess.confidence > 0.2
     assert guess.layout not in guess.alternatives
+
+
+@pytest.mark.parametrize(
+    ("layout", "wide"),
+    [
+        ((12, 4, 2.0), {"row_gap": 0.13}),
+        ((3, 12, 0.5), {"col_gap": 0.3}),
+        ((4, 6, 1.0), {"cell_gap": 0.12}),
+        ((4, 12, 1 / 3), {}),
+    ],
+)
+def test_wide_gaps_and_cut_cells_do_not_hide_the_rows_and_columns(
+    layout: tuple[int, int, float], wide: dict[str, float]
+) -> None:
+    rows, cols, aspect = layout
+    sequence = _simulated(seed=3, rows=rows, cols=cols, cell_aspect=aspect, busbars=3, **wide)
+    guess = guess_layout(sequence)
+    assert (guess.layout.rows, guess.layout.cols, guess.layout.cell_aspect) == layout
+    assert guess.layout == guess.layout.plain
+
+
+def test_a_layout_that_fits_nearly_as_well_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    sequence, right, other = _simulated(rows=4, cols=6), ModuleLayout(4, 6), ModuleLayout(8, 12)
+
+    def guessed(score: float) -> ModuleLayout | None:
+        monkeypatch.setattr(
+            "pv_inspect.detection.layout_guess.ranked_layouts",
+            lambda *_: [(right, 0.8), (other, score)],
+        )
+        monkeypatch.setattr(
+            "pv_inspect.detection.layout_guess._in_place",
+            lambda views, _: [(view, view.pose) for view in views],
+        )
+        guess = guess_layout(sequence)
+        assert guess.layout == right
+        return guess.runner_up
+
+    assert guessed(0.4) == other
+    assert guessed(0.2) is None
 
 
 def test_a_guess_keeps_to_what_is_known() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.cracks import CellFeatures, CrackMap
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.doubts import CONTRADICTION, OVER_FIT, doubts_of, warnings_of
 from pv_inspect.inspection.summary import summary
 from pv_inspect.sequence.differences import Pair
@@ -47,6 +48,11 @@ def test_a_module_of_which_no_cell_can_be_judged_is_in_doubt() -> None:
     )
     assert "current" in doubts(cell(dark_area_share=0.9))[0]
     assert doubts(*blind, cell()) == ()
+
+
+def test_a_layout_that_fits_nearly_as_well_is_named() -> None:
+    made = made_inspection(layout_guessed=True, runner_up=ModuleLayout(6, 20, 0.5))
+    assert any("(6 x 20 of aspect 0.5 fit nearly as well)" in text for text in warnings_of(made))
 
 
 def test_frames_that_are_left_out_are_warned_about_with_their_reason() -> None:

@@ -11,6 +11,7 @@ import pytest
 import tifffile
 
 from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.photometry.photometry import Photometry
 from pv_inspect.photometry.vignetting import Vignetting
@@ -100,9 +101,12 @@ def test_what_was_found_out_about_the_sensor_comes_back(tmp_path: Path) -> None:
 def test_a_guessed_layout_is_still_guessed_when_the_result_is_taken_up(
     tmp_path: Path, guessed: bool
 ) -> None:
-    write_result(made_inspection(layout_guessed=guessed), tmp_path / "out")
+    other = ModuleLayout(6, 20, 0.5) if guessed else None
+    made = made_inspection(layout_guessed=guessed, runner_up=other)
+    write_result(made, tmp_path / "out")
     again = resume(read_result(tmp_path / "out"), made_inspection().sequence)
     assert again.layout_guessed is guessed
+    assert again.runner_up == other
 
 
 def test_another_lambda_needs_the_reconstruction_only(tmp_path: Path) -> None:
