@@ -7,13 +7,14 @@ import os
 from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
-from time import sleep
+from time import monotonic, sleep
 from typing import Any
 
 import numpy as np
 import platformdirs
 import pytest
 from pytestqt.qtbot import QtBot
+from qtpy.QtWidgets import QApplication
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
@@ -28,7 +29,20 @@ from pv_inspect.sequence.sequence import FrameSequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
 from tests.plugin.reviewing import show, stored  # noqa: E402
+from tests.plugin.shared_window import SharedWindow, is_ours  # noqa: E402
 from tests.waiting import LONG_MS  # noqa: E402
+
+LEAVING_S = 60.0
+"""Work that goes on in the background ends within a second; this is for a busy machine."""
+
+SHARES_A_WINDOW = {
+    "test_dock_layout",
+    "test_frames_list",
+    "test_in_doubt",
+    "test_napari_internals",
+    "test_points",
+}
+"""Modules that were seen to leave nothing in the shared window; the rest make their own."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -78,9 +92,66 @@ def modules_are_no_garbage(request: pytest.FixtureRequest) -> Generator[None]:
     objects of the loaded modules: about a twelfth of the processor time of these tests.
     """
     yield
-    if "make_napari_viewer" in request.fixturenames and not gc.get_freeze_count():
+    if {"make_napari_viewer", "workbench"} & {*request.fixturenames} and not gc.get_freeze_count():
         gc.collect()
         gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def windows() -> Generator[list[SharedWindow]]:
+    """Hold the shared window, if there is one."""
+    windows: list[SharedWindow] = []
+    yield windows
+    for window in windows:
+        window.close()
+
+
+@pytest.fixture
+def viewer(
+    windows: list[SharedWindow], qtbot: QtBot, request: pytest.FixtureRequest
+) -> Generator[Any]:
+    """Give out the shared window, empty; whatever a test does not put back fails that test.
+
+    A test that closes it is looked at as by `make_napari_viewer`, and the next gets another one.
+    """
+    top_level = {id(widget) for widget in QApplication.topLevelWidgets()}
+    if not windows:
+        if not gc.get_freeze_count():  # see `modules_are_no_garbage`; not the window itself
+            gc.collect()
+            gc.freeze()
+        windows.append(SharedWindow())
+        top_level = {id(widget) for widget in QApplication.topLevelWidgets()}
+    window = windows[0]
+    with window.in_use():
+        yield window.viewer
+        # What pytest still holds of the test is no leak.
+        request.node.funcargs.clear()
+        called = getattr(request.node, "rep_call", None)
+        failed = called is None or called.failed
+        found: list[str] = []
+        if window.is_open and not failed:
+            gone = window.empty()
+
+            def left_over() -> list[str]:
+                return window.left_over(gone) + [
+                    f"{widget!r} is open"
+                    for widget in QApplication.topLevelWidgets()
+                    if id(widget) not in top_level and (widget.isVisible() or is_ours(widget))
+                ]
+
+            # Background work may hold on to things a little longer.
+            found = left_over()
+            end = monotonic() + LEAVING_S
+            while found and monotonic() < end:
+                sleep(0.02)
+                found = left_over()
+            if not found:
+                return
+    windows.clear()
+    window.close()
+    if not failed and not found:
+        window.assert_gone()
+    assert not found, "left in the shared window: " + "; ".join(found)
 
 
 @pytest.fixture(autouse=True)
@@ -128,10 +199,13 @@ def tiny_inspection(tiny_sequence: FrameSequence, tiny_settings: Settings) -> In
 
 @pytest.fixture
 def workbench(
-    make_napari_viewer: Callable[..., Any], tiny_sequence: FrameSequence, tiny_settings: Settings
+    request: pytest.FixtureRequest, tiny_sequence: FrameSequence, tiny_settings: Settings
 ) -> tuple[Any, InspectDock, CellsDock]:
     """Viewer and docks with the tiny module open."""
-    viewer = make_napari_viewer()
+    if request.module.__name__.rpartition(".")[2] in SHARES_A_WINDOW and not REAL_WINDOW:
+        viewer = request.getfixturevalue("viewer")
+    else:
+        viewer = request.getfixturevalue("make_napari_viewer")()
     dock, cells = build(viewer)
     dock.workbench.model.open(tiny_sequence)
     dock.workbench.model.change_settings(magnification=2.0, max_iterations=5)

@@ -226,9 +226,11 @@ def test_every_control_has_a_tooltip(workbench: Any) -> None:
             assert control.toolTip() or above.toolTip(), control.objectName()
 
 
-def test_all_our_docks_show_the_focus_under_every_theme(workbench: Any) -> None:
+def test_all_our_docks_show_the_focus_under_every_theme(workbench: Any, qtbot: QtBot) -> None:
     viewer, dock, cells = workbench
-    docks = (dock, cells, CellDock(viewer), show_live_cell(dock.workbench, dock))
+    large = CellDock(viewer)
+    qtbot.addWidget(large)
+    docks = (dock, cells, large, show_live_cell(dock.workbench, dock))
     for theme in ("light", "dark"):
         viewer.theme = theme
         assert [one.styleSheet() for one in docks] == [style(theme)] * 4

@@ -43,6 +43,7 @@ class DropHandler(QObject):
     def close(self) -> None:
         """Leave all drops to napari again."""
         self._take = None
+        self.deleteLater()
 
     def eventFilter(self, _: QObject, event: QEvent) -> bool:  # noqa: N802 (Qt's name)
         """Take a drop that our reader knows how to read."""
