@@ -22,8 +22,9 @@ from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
-from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.outline import FILLED, OutlineError
 from pv_inspect.detection.overlapping_view import poses_in_other_frame
+from pv_inspect.detection.partial_views import found_together
 from pv_inspect.detection.seen_layout import better_layout, fits_given, found_around, seen_layout
 from pv_inspect.detection.single_frame import (
     RUNS_OVER,
@@ -69,9 +70,10 @@ def detect(
     """Find the crossing points in every frame.
 
     A frame in which the module is cut by the image border, or whose outline fails, is found again
-    from the nearest frame that succeeded. All frames are brought to the same way up. The rows and
-    columns are checked in every frame by itself, so that wrong ones are refused after a few.
-    Frames that repeat another one are not looked at.
+    from the nearest frame that succeeded. If the border cuts it in all frames, the parts are put
+    together, if they make the whole module in one way only. All frames are brought to the same way
+    up. The rows and columns are checked in every frame by itself, so that wrong ones are refused
+    after a few. Frames that repeat another one are not looked at.
 
     Parameters
     ----------
@@ -131,9 +133,18 @@ def detect(
                 x, y = outcome[0].project(np.array([layout.size]) / 2)[0]
                 point = float(x), float(y)
         yield Progress(0.8 * (count - len(order)) / count, _MESSAGE)
+    parts_only = not found and inside is None and _all_cut(reasons) and _is_plain(layout)
+    why_not = ""
+    if parts_only:
+        try:
+            found, left = yield from found_together(sequence, layout, reasons)
+            reasons = dict(left)
+        except OutlineError as error:
+            why_not = str(error)
     if max(_votes(reasons).values(), default=0) > len(found) or not found:
-        raise InspectionError(_nothing_found(sequence, layout, reasons, len(found)))
-    for index in sorted(reasons):
+        raise InspectionError(_nothing_found(sequence, layout, reasons, len(found), why_not))
+    # Whoever has no place among the parts has none beside one of them either.
+    for index in () if parts_only else sorted(reasons):
         reason = reasons[index]
         if isinstance(reason, _OtherLayoutError) or str(reason).startswith(("black", "saturated")):
             continue
@@ -146,7 +157,8 @@ def detect(
     faulty = _faulty(reasons)
     if len(faulty) > len(found):
         raise InspectionError(_mostly_faulty(sequence, layout, reasons, faulty))
-    same_way_up(sequence, layout, found)
+    if not parts_only:
+        same_way_up(sequence, layout, found)
     return Crossings(
         layout,
         tuple(
@@ -208,6 +220,16 @@ def _tried(reasons: dict[int, OutlineError]) -> int:
     texts = [str(error) for error in reasons.values()]
     nothing = ("black", "saturated", "no module", RUNS_OVER)
     return sum(not text.startswith(nothing) for text in texts)
+
+
+def _all_cut(reasons: dict[int, OutlineError]) -> bool:
+    """Whether the border of the image cuts what is bright in most frames, and none is whole."""
+    cut = sum(str(error) in (RUNS_OVER, FILLED) for error in reasons.values())
+    return cut > 1 and 2 * cut > len(reasons)
+
+
+def _is_plain(layout: ModuleLayout) -> bool:
+    return layout == layout.plain and not any(layout.cell_gap)
 
 
 def _votes(reasons: dict[int, OutlineError]) -> Counter[ModuleLayout]:
@@ -285,7 +307,11 @@ def _mostly_faulty(
 
 
 def _nothing_found(
-    sequence: FrameSequence, layout: ModuleLayout, reasons: dict[int, OutlineError], found: int
+    sequence: FrameSequence,
+    layout: ModuleLayout,
+    reasons: dict[int, OutlineError],
+    found: int,
+    parts: str,
 ) -> str:
     first = min(reasons)
     module = f"{layout.rows} rows x {layout.cols} columns"
@@ -313,20 +339,26 @@ def _nothing_found(
             f"{frames} {seen.rows} rows x {seen.cols} columns: check rows and cols, perhaps give "
             f"--rows {seen.rows} --cols {seen.cols}{aspect}."
         )
-    if len(reasons) > 1 and {str(error) for error in reasons.values()} == {RUNS_OVER}:
+    if _all_cut(reasons):
         by_day = (
             " By daylight, with the current switched between the frames, give --lock-in."
             if sequence.lock_in is None
             else ""
         )
+        put = f" Put together, the parts make none either: {parts}." if parts else ""
         return (
-            f"No frame shows a module of {module}: in all {len(reasons)} {RUNS_OVER}; at least "
-            f"one frame must show the whole module.{by_day}"
+            f"No frame shows a module of {module}: in {_how_many(reasons)} {RUNS_OVER}.{put} At "
+            f"least one frame must show the whole module, or all of them together.{by_day}"
         )
     return (
         f"No frame shows a module of {module} ({sequence.names[first]}: {reasons[first]}): check "
         "the frames, rows and cols."
     )
+
+
+def _how_many(reasons: dict[int, OutlineError]) -> str:
+    cut = sum(str(error) in (RUNS_OVER, FILLED) for error in reasons.values())
+    return f"all {cut}" if cut == len(reasons) else f"{cut} of {len(reasons)}"
 
 
 def _require_inside(point: tuple[float, float], layout: ModuleLayout, pose: Pose) -> None:

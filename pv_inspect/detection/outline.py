@@ -21,6 +21,7 @@ from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
 __all__ = [
+    "FILLED",
     "Outline",
     "OutlineError",
     "conventional_camera",
@@ -44,6 +45,8 @@ CLOSINGS_PX = (9, 7, 5, 3)
 """Widths of gaps that are closed when the generous first one does not show the module."""
 WIDER = (2, 4)
 """At the end gaps are closed that are so many times wider: those of mini-modules."""
+
+FILLED = "no module outline: the bright area fills the frame"
 
 
 class OutlineError(Exception):
@@ -194,7 +197,7 @@ def find_outlines(
             else:
                 yield outline
     if filling:
-        raise OutlineError("no module outline: the bright area fills the frame")
+        raise OutlineError(FILLED)
     yield from cut[:1]
     if largest < MIN_AREA_SHARE:
         raise OutlineError(

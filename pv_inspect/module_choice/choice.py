@@ -119,7 +119,7 @@ def choose_module(
     frames = [int(i) for i in np.flatnonzero(calibration.used) if i not in skipped]
     wanted = _wanted(sequence, calibration, settings, frames)
     count = len(sequence)
-    if len(frames) < 2:
+    if len(frames) < 2 or (wanted is None and _parts_only(calibration, frames, sequence.shape)):
         return ModuleChoice(("",) * count, (Placement(),) * count)
     found = group_frames(sequence, calibration, frames)
     chosen = _chosen(sequence, found, kept, wanted)
@@ -130,6 +130,17 @@ def choose_module(
             if number != chosen and i not in kept:
                 why[i] = _reason(found, number, chosen, named=wanted is not None)
     return ModuleChoice(tuple(why), tuple(placements), found.comparable)
+
+
+def _parts_only(calibration: Calibration, frames: list[int], shape: tuple[int, int]) -> bool:
+    """Whether no frame shows the whole module.
+
+    The detection has then put the frames together by the details of their cells: what fits no
+    other frame is left out already, and two parts may have hardly a cell in common.
+    """
+    last = np.array([shape[1], shape[0]]) - 1
+    corners = (calibration.crossings_px(i) for i in frames)
+    return not any(bool(np.all((px >= 0) & (px <= last))) for px in corners)
 
 
 def _wanted(

@@ -1,0 +1,93 @@
+"""The module in a sequence of which every frame shows a part (see `joined_views`)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Generator
+from functools import partial
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.common.parallel import parallel_map
+from pv_inspect.common.work import Progress
+from pv_inspect.detection.grid_of_a_part import grid_of_part
+from pv_inspect.detection.joined_views import NO_PLACE, Part, part_of, poses_together
+from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.single_frame import Found, detect_in_frame
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.sequence.sequence import FrameSequence
+
+__all__ = ["found_together"]
+
+PROBED = 6
+LEAST_SHARE_FOUND = 0.5
+"""Share of the joined frames in which the borders of the whole grid must be in place."""
+
+
+def found_together(
+    sequence: FrameSequence, layout: ModuleLayout, indices: Collection[int]
+) -> Generator[Progress, None, tuple[dict[int, Found], dict[int, OutlineError]]]:
+    """Find the module in frames each of which shows a part of it.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    layout : ModuleLayout
+        Without wide gaps.
+    indices : collection of int
+        The frames.
+
+    Yields
+    ------
+    Progress
+
+    Returns
+    -------
+    dict of int to Found
+    dict of int to OutlineError
+        Why other frames are left out.
+
+    Raises
+    ------
+    OutlineError
+        If the parts do not make the whole module, or not in one way only.
+    """
+    parts: dict[int, Part] = {}
+    reasons: dict[int, OutlineError] = {}
+    order, together = sorted(indices), 2 * numba.get_num_threads()
+    # Frames from all parts of the sequence first: without a grid in any of them, it is in none.
+    order = list(dict.fromkeys([*order[:: max(1, len(order) // PROBED)], *order]))
+    for begin in range(0, len(order), together):
+        batch = order[begin : begin + together]
+        images = [sequence.frame(k).image for k in batch]
+        look = partial(_seen, cell_aspect=layout.cell_aspect)
+        for k, seen in zip(batch, parallel_map(look, images), strict=True):
+            if isinstance(seen, OutlineError):
+                reasons[k] = seen
+            else:
+                parts[k] = seen
+        if not parts and len(reasons) >= PROBED:
+            raise next(iter(reasons.values()))
+        yield Progress((begin + len(batch)) / len(order), "looking for the grid of each part")
+    poses = poses_together(parts, layout)
+    found: dict[int, Found] = {}
+    for k in parts:
+        if k not in poses:
+            reasons[k] = OutlineError(NO_PLACE)
+            continue
+        try:
+            found[k] = detect_in_frame(sequence.frame(k).image, layout, poses[k])
+        except OutlineError as error:
+            reasons[k] = error
+    if len(found) < max(2, LEAST_SHARE_FOUND * len(poses)):
+        first = next(str(reasons[k]) for k in poses if k in reasons)
+        raise OutlineError(f"the grid of the whole does not lie on the parts ({first})")
+    return found, reasons
+
+
+def _seen(image: NDArray[np.float32], cell_aspect: float) -> Part | OutlineError:
+    try:
+        return part_of(image, grid_of_part(image, cell_aspect), cell_aspect)
+    except OutlineError as error:
+        return error

@@ -1,0 +1,120 @@
+"""Frames that each show a part of a module are put together, in one way or not at all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pv_inspect.common.work import result_of
+from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
+from pv_inspect.detection.joined_views import Part, part_of, poses_together
+from pv_inspect.detection.outline import OutlineError
+from pv_inspect.geometry.camera import Camera
+from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
+from pv_inspect.simulate import SimulationSettings
+from pv_inspect.simulate.exposure import Exposer, camera_matrix
+from pv_inspect.simulate.exposure import Pose as View
+from pv_inspect.simulate.scene import render_scene
+
+SETTINGS = SimulationSettings(
+    seed=5, rows=3, cols=5, width=170, height=120, kappa=-0.1, pixels_per_unit=60, supersampling=2
+)
+LAYOUT = SETTINGS.layout
+AT = [(1.6, 1.1), (2.6, 1.2), (3.5, 1.0), (1.5, 1.9), (2.5, 2.0), (3.4, 1.9)]
+"""Module points in the middle of the frames; a frame shows 4.2 x 3 cells."""
+SHIFTS = [(28, 29), (27, 28), (26, 30), (28, 28), (30, 27), (25, 29)]
+"""Where the frames' own grids have the module's first cell."""
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[tuple[NDArray[np.float32], Pose]]:
+    scene = result_of(render_scene(SETTINGS, np.random.default_rng(5)))
+    exposer = Exposer(SETTINGS, scene)
+    camera = Camera(camera_matrix(SETTINGS), SETTINGS.kappa)
+    made = []
+    for x, y in AT:
+        H = np.array([[1, 0, -x], [0, 1, -y], [0, 0.02, SETTINGS.focal_px / 40]])
+        image = exposer.expose(View(H, 1.0, 0.0, 0.0)) + 0.01
+        made.append((np.asarray(image, np.float32), Pose(camera, H)))
+    return made
+
+
+@pytest.fixture(scope="module")
+def parts(frames: list[tuple[NDArray[np.float32], Pose]]) -> dict[int, Part]:
+    return {
+        k: part_of(image, _own_grid(pose, *shift), 1.0)
+        for k, ((image, pose), shift) in enumerate(zip(frames, SHIFTS, strict=True))
+    }
+
+
+def _own_grid(pose: Pose, x: float, y: float) -> GridOfPart:
+    moved = np.array([[1.0, 0, -x], [0, 1, -y], [0, 0, 1]])
+    return GridOfPart(Pose(pose.camera, pose.homography @ moved), 1.0)
+
+
+def _off_px(pose: Pose, true: Pose) -> float:
+    points = LAYOUT.crossings()
+    return float(np.abs(pose.project(points) - true.project(points)).max())
+
+
+def test_the_grid_of_a_part_is_found_up_to_a_shift() -> None:
+    settings = replace(SETTINGS, rows=6, cols=8, width=190, height=170, pixels_per_unit=40)
+    scene = result_of(render_scene(settings, np.random.default_rng(1)))
+    H = np.array([[1, 0.03, -3.5], [-0.03, 1, -3.2], [0, 0.02, settings.focal_px / 32]])
+    image = np.asarray(Exposer(settings, scene).expose(View(H, 1.0, 0.0, 0.0)) + 0.01, np.float32)
+    found = grid_of_part(image, 1.0).pose
+    points = settings.layout.crossings()
+    seen = Camera(camera_matrix(settings), settings.kappa).project(H, points)
+    shown = np.all((seen > 2) & (seen < [187, 167]), axis=1)
+    places = (found.unproject(seen) - points)[shown]
+    assert shown.mean() < 0.8
+    assert np.ptp(places, axis=0).max() < 0.03
+    assert np.abs(places - REACH).max() < 7
+
+
+def test_grids_that_differ_by_whole_cells_are_put_together(
+    frames: list[tuple[NDArray[np.float32], Pose]], parts: dict[int, Part]
+) -> None:
+    poses = poses_together(parts, LAYOUT)
+    assert len(poses) == len(frames)
+    assert max(_off_px(poses[k], pose) for k, (_, pose) in enumerate(frames)) < 40 / 12
+
+
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_grids_on_busbars_are_put_right_by_the_outer_borders(
+    frames: list[tuple[NDArray[np.float32], Pose]], parts: dict[int, Part], all_of_them: bool
+) -> None:
+    beside = {
+        k: part_of(image, _own_grid(pose, SHIFTS[k][0] + 1 / 3, SHIFTS[k][1]), 1.0)
+        for k, (image, pose) in enumerate(frames)
+        if all_of_them or k == 1
+    }
+    poses = poses_together({**parts, **beside}, LAYOUT)
+    # Pictures are compared to a twelfth of a cell; the fit to the gaps does the rest.
+    assert max(_off_px(poses[k], pose) for k, (_, pose) in enumerate(frames)) < 40 / 8
+
+
+def test_wrong_columns_are_refused(parts: dict[int, Part]) -> None:
+    with pytest.raises(OutlineError, match="show 3 rows x 5 columns, not 3 x 6"):
+        poses_together(parts, ModuleLayout(3, 6))
+
+
+def test_a_side_that_no_frame_shows_is_named(parts: dict[int, Part]) -> None:
+    # Without it these three could as well be the left part of a longer module.
+    left = {k: parts[k] for k in (0, 3)}
+    with pytest.raises(OutlineError, match="not where the module ends on the right"):
+        poses_together(left, ModuleLayout(3, 4))
+
+
+def test_cells_that_all_look_alike_are_not_put_together(parts: dict[int, Part]) -> None:
+    rng = np.random.default_rng(0)
+    alike = {
+        k: replace(p, details=rng.normal(0, 0.02, p.details.shape).astype(np.float32))
+        for k, p in parts.items()
+    }
+    with pytest.raises(OutlineError, match="does not fit together at one place only"):
+        poses_together(alike, LAYOUT)
