@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.joined_views import SHOWN_TOGETHER
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
 from pv_inspect.detection.outline import FILLED, OutlineError
@@ -342,13 +343,13 @@ def _nothing_found(
     if _all_cut(reasons):
         by_day = (
             " By daylight, with the current switched between the frames, give --lock-in."
-            if sequence.lock_in is None
+            if sequence.lock_in is None and SHOWN_TOGETHER not in parts
             else ""
         )
-        put = f" Put together, the parts make none either: {parts}." if parts else ""
+        put = f" Nor do the parts make one: {parts}." if parts else ""
         return (
             f"No frame shows a module of {module}: in {_how_many(reasons)} {RUNS_OVER}.{put} At "
-            f"least one frame must show the whole module, or all of them together.{by_day}"
+            f"least one frame must show the whole module, or all together.{by_day}"
         )
     return (
         f"No frame shows a module of {module} ({sequence.names[first]}: {reasons[first]}): check "

@@ -20,7 +20,7 @@ from pv_inspect.detection.outline import OutlineError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["NO_PLACE", "Part", "part_of", "poses_together"]
+__all__ = ["NO_PLACE", "SHOWN_TOGETHER", "Part", "part_of", "poses_together"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -39,6 +39,7 @@ MOST_MISFIT = 0.3
 UNEVEN_ENDS = 0.25 * SAMPLES
 """How much more or less than whole cells what is bright may span, samples."""
 MOST_HIDDEN = 0.002
+SHOWN_TOGETHER = "together they show"
 BEYOND = 0.17
 """So far beyond the outer line it must be dark, cells."""
 LEAST_DARK_SHARE = 0.3
@@ -244,7 +245,7 @@ def _module(
     # Outer borders say where cells begin even if busbars were taken for the borders inside.
     ends = np.array([_ends(largest), _ends(largest.T)])
     cols, rows = ((ends[:, 1] - ends[:, 0]) / SAMPLES).round().astype(int).tolist()
-    together = f"together they show {rows} rows x {cols} columns"
+    together = f"{SHOWN_TOGETHER} {rows} rows x {cols} columns"
     if np.abs(ends[:, 1] - ends[:, 0] - SAMPLES * np.array([cols, rows])).max() > UNEVEN_ENDS:
         raise OutlineError(f"{together} and parts of cells")
     box = *ends[:, 0].round().astype(int).tolist(), *(ends[:, 1].round().astype(int).tolist())
