@@ -24,6 +24,8 @@ T = TypeVar("T", bound=np.generic)
 LONGEST_LIST = 180
 """Characters that the modules may take in a message."""
 LONGEST_NAME = 40
+CUT_CELLS = 0.3
+"""By less a frame does not count as one that cuts the module: its outline may touch the border."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +141,12 @@ def _parts_only(calibration: Calibration, frames: list[int], shape: tuple[int, i
     other frame is left out already, and two parts may have hardly a cell in common.
     """
     last = np.array([shape[1], shape[0]]) - 1
-    corners = (calibration.crossings_px(i) for i in frames)
-    return not any(bool(np.all((px >= 0) & (px <= last))) for px in corners)
+    for i in frames:
+        px = calibration.crossings_px(i)
+        slack = CUT_CELLS * float(np.linalg.norm(px[1] - px[0]))
+        if np.all((px >= -slack) & (px <= last + slack)):
+            return False
+    return True
 
 
 def _wanted(
