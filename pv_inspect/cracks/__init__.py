@@ -23,6 +23,7 @@ from pv_inspect.cracks.features import (
     measure_cell,
 )
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
+from pv_inspect.cracks.links import linked
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.cracks.wording import CLASS_RULE
@@ -190,9 +191,10 @@ def read_cracks(
         else:
             probability = detector.probability(tile)
         blocks[row, col] = cut_off_blocks(images[row, col])
-        maps[row, col] = with_block_edges(
+        edged = with_block_edges(
             np.clip(probability, 0.0, 1.0), blocks[row, col], point.threshold, width
         )
+        maps[row, col] = linked(edged, tile, point.threshold, width)
         novelty[row, col] = novelty_of(detector, tile)
         yield Progress(n / (rows * cols), "looking for cracks")
     # All cells of a module have the same busbars: together they show them better than one by one.
