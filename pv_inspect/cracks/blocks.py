@@ -9,6 +9,7 @@ opposite one another, and a dark margin runs along a whole side.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import cv2
 import numpy as np
@@ -40,9 +41,11 @@ _INNER = 0.1
 # Half of the width over which the edge is judged, length of a straight piece, its tolerance.
 _REACH, _PIECE, _TOLERANCE = 0.03, 0.08, 0.015
 # Outline: margin of a tile that was cut a bit large, legs of a cut corner, rim of the cell.
-_MARGIN, _CORNER, _RIM = 0.12, 0.22, 0.035
+_MARGIN, _CORNER, _RIM = 0.12, 0.25, 0.035
 # Width of the marks that an edge gets, and how near to another mark it gets none, cell widths.
 _EDGE_WIDTH, _BESIDE = 0.01, 0.025
+# Of a corner that is not cut this much, inside of the rim, is brighter than this.
+_TIP, _TIP_LEVEL = 0.04, 0.8
 _MOST_WAVY, _MOST_SLANT = 0.01, 0.05
 
 
@@ -87,7 +90,7 @@ def cut_off_blocks(tile: Image) -> Mask:
         for k in range(1, n_labels):
             if LEAST_BLOCK * dark.size <= facts[k, cv2.CC_STAT_AREA] <= 0.5 * dark.size:
                 part = labels == k
-                if not _is_cut_corner(part, dark) and _cut_off(part, cell):
+                if not _is_cut_corner(part, cell) and _cut_off(part, cell):
                     found[inside] |= part
     if not found.any():
         return none
@@ -170,15 +173,30 @@ def _margin(dark: Mask) -> int:
     return 0 if wavy > _MOST_WAVY * _SIDE or abs(slope) > _MOST_SLANT else width
 
 
-def _is_cut_corner(part: Mask, dark: Mask) -> bool:
-    """Whether a part fills a corner as another one does beside it: the outline of the wafer."""
+def _is_cut_corner(part: Mask, cell: Image) -> bool:
+    """Whether a part lies in one corner and another corner is cut: the outline of the wafer.
+
+    Corners are cut unequally: of a small one nobody can tell whether it was cut or broke off.
+    """
     reach = round(_CORNER * _SIDE)
-    within = []
+    flipped = []
     for axis in (0, 1):
         at = np.flatnonzero(part.any(1 - axis))
-        within.append(at[-1] < reach or at[0] >= part.shape[axis] - reach)
-    beside = max(dark[part[:, ::-1]].mean(), dark[part[::-1]].mean())
-    return all(within) and bool(beside >= 0.5)
+        first, last = at[-1] < reach, at[0] >= part.shape[axis] - reach
+        if not (first or last):
+            return False
+        flipped.append(bool(last))
+    rim, size = round(_RIM * _SIDE), round(_TIP * _SIDE)
+    y, x = np.mgrid[:size, :size]
+    tip = x + y < size
+    here = (flipped[0], flipped[1])
+    for other in product((False, True), repeat=2):
+        if other == here:
+            continue
+        upright = cell[:: -1 if other[0] else 1, :: -1 if other[1] else 1]
+        if np.median(upright[rim : rim + size, rim : rim + size][tip]) < _TIP_LEVEL:
+            return True
+    return False
 
 
 def _cut_off(part: Mask, cell: Image) -> bool:

@@ -62,6 +62,13 @@ def _corners() -> np.ndarray:
     return image
 
 
+def _unequal_corners() -> np.ndarray:
+    image = with_part(cell(), [(-9, -9), (46, -9), (-9, 46)])
+    for points in ([(209, -9), (174, -9), (209, 26)], [(-9, 209), (26, 209), (-9, 174)]):
+        image = with_part(image, points)
+    return image
+
+
 def _surround() -> np.ndarray:
     image = np.full((SIDE, SIDE), 0.05, np.float32)
     image[12:190, 16:186] = cv2.resize(cell(), (170, 178), interpolation=cv2.INTER_AREA)
@@ -88,6 +95,7 @@ def _grain() -> np.ndarray:
 OTHERS = {
     "a clean cell": cell(),
     "cut corners": _corners(),
+    "unequal corners": _unequal_corners(),
     "two of them, half a cell": _corners()[: SIDE // 2],
     "a dark surround": _surround(),
     "interrupted fingers": _fingers(),
