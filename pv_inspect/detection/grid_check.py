@@ -280,9 +280,7 @@ def _halves(lines: Mask, bright: Mask) -> bool:
 
 
 def _search(layout: ModuleLayout, pose: Pose) -> float:
-    middle = np.array([layout.size]) / 2
-    scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, middle)[0])))
-    return max(SEARCH_UNITS, MIN_SEARCH_PX / float(scale))
+    return max(SEARCH_UNITS, MIN_SEARCH_PX / pose.scale_px(layout.size))
 
 
 def _shifted(pose: Pose, x: float, y: float) -> Pose:

@@ -35,7 +35,6 @@ __all__ = [
     "detect_in_frame",
     "find_module",
     "found_in_outline",
-    "scale_px",
     "search_units",
 ]
 
@@ -115,7 +114,8 @@ def detect_in_frame(
     edges = cell_edges(layout)
     pose = start
     # In small cells a share of the cell is less than what noise moves a gap by.
-    least, most = MIN_SEARCH_PX / scale_px(layout, start), MAX_SEARCH_PX / scale_px(layout, start)
+    scale = start.scale_px(layout.size)
+    least, most = MIN_SEARCH_PX / scale, MAX_SEARCH_PX / scale
     parts = split_edges(edges)
     for search in SEARCH_UNITS:
         reach = min(max(search, least), most)
@@ -300,15 +300,8 @@ def _starts(
 
 def search_units(layout: ModuleLayout, pose: Pose) -> float:
     """Half width of the last search across a gap, module units."""
-    scale = scale_px(layout, pose)
+    scale = pose.scale_px(layout.size)
     return min(max(SEARCH_UNITS[-1], MIN_SEARCH_PX / scale), MAX_SEARCH_PX / scale)
-
-
-def scale_px(layout: ModuleLayout, pose: Pose) -> float:
-    """LR pixels per module unit in the middle of the module."""
-    middle = np.array([layout.size]) / 2
-    jacobian = pose.camera.jacobian(pose.homography, middle)[0]
-    return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
 
 
 def _share_in_place(

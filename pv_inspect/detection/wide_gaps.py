@@ -38,7 +38,6 @@ from pv_inspect.detection.single_frame import (
     detect_in_frame,
     find_module,
     found_in_outline,
-    scale_px,
     search_units,
 )
 from pv_inspect.geometry.layout import ModuleLayout
@@ -309,7 +308,7 @@ def _clearest_step(
     rest = (values - design @ solution) * root
     spread = MAD_TO_SIGMA * float(np.median(np.abs(rest)))
     # Of the search for the module: half of its width.
-    least = max(LEAST_GAP, LEAST_PX / scale_px(layout, pose))
+    least = max(LEAST_GAP, LEAST_PX / pose.scale_px(layout.size))
     best, clearest = None, LEAST_SIGMA
     for key, step in steps.items():
         if key in chosen:

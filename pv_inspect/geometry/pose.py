@@ -79,6 +79,17 @@ class Pose:
         new, scale = np.asarray(found, np.float64), self.homography[2, 2]
         return Pose(camera, new * np.sign(new[2, 2] * scale) if scale else new)
 
+    def scale_px(self, size: tuple[float, float]) -> float:
+        """LR pixels per module unit in the middle of a module of this size.
+
+        Parameters
+        ----------
+        size : tuple of float
+            Width and height, module units.
+        """
+        jacobian = self.camera.jacobian(self.homography, np.array([size]) / 2)[0]
+        return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
+
     @property
     def aspect(self) -> float:
         """Length of the module's unit along x / along y, in truth, from the perspective.

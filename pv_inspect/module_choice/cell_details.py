@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pv_inspect.calibration.calibrate import Calibration
 from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["CellDetails", "cell_details", "degrees_of_freedom", "noise_spectrum"]
@@ -197,7 +198,6 @@ def _middle(values: Array, axes: tuple[int, ...], robust: bool) -> Array:
 
 
 def _scale_px(calibration: Calibration, index: int) -> float:
-    """LR pixels per module unit in the middle of the module."""
-    middle = np.array([calibration.layout.size]) / 2
-    jacobian = calibration.camera.jacobian(calibration.homographies[index], middle)[0]
-    return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
+    return Pose(calibration.camera, calibration.homographies[index]).scale_px(
+        calibration.layout.size
+    )
