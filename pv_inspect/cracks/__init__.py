@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
 from pv_inspect.common.work import Progress
-from pv_inspect.cracks.blocks import cut_off_blocks, with_block_edges
+from pv_inspect.cracks.blocks import cut_off_blocks
+from pv_inspect.cracks.completion import completed
 from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
 from pv_inspect.cracks.features import (
     CellFeatures,
@@ -23,7 +24,6 @@ from pv_inspect.cracks.features import (
     measure_cell,
 )
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
-from pv_inspect.cracks.links import linked
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.cracks.wording import CLASS_RULE
@@ -191,10 +191,7 @@ def read_cracks(
         else:
             probability = detector.probability(tile)
         blocks[row, col] = cut_off_blocks(images[row, col])
-        edged = with_block_edges(
-            np.clip(probability, 0.0, 1.0), blocks[row, col], point.threshold, width
-        )
-        maps[row, col] = linked(edged, tile, point.threshold, width)
+        maps[row, col] = completed(probability, tile, blocks[row, col], point, width)
         novelty[row, col] = novelty_of(detector, tile)
         yield Progress(n / (rows * cols), "looking for cracks")
     # All cells of a module have the same busbars: together they show them better than one by one.

@@ -42,8 +42,8 @@ _INNER = 0.1
 _REACH, _PIECE, _TOLERANCE = 0.03, 0.08, 0.015
 # Outline: margin of a tile that was cut a bit large, legs of a cut corner, rim of the cell.
 _MARGIN, _CORNER, _RIM = 0.12, 0.25, 0.035
-# Width of the marks that an edge gets, and how near to another mark it gets none, cell widths.
-_EDGE_WIDTH, _BESIDE = 0.01, 0.025
+# Width of the marks that an edge gets, cell widths.
+_EDGE_WIDTH = 0.01
 # Of a corner that is not cut this much, inside of the rim, is brighter than this.
 _TIP, _TIP_LEVEL = 0.04, 0.8
 _MOST_WAVY, _MOST_SLANT = 0.01, 0.05
@@ -110,7 +110,7 @@ def with_block_edges(
     blocks : (h, w) bool
         Of `cut_off_blocks`.
     threshold : float
-        The probability that the edge gets at least, but for places beside other marks.
+        The probability that the edge gets at least.
     cell_width_px : float
 
     Returns
@@ -127,11 +127,8 @@ def with_block_edges(
     edge[:, :rim] = edge[:, -rim:] = 0
     width = max(round(_EDGE_WIDTH * cell_width_px), 1)
     wide = cv2.dilate(edge, np.ones((width, width), np.uint8))
-    beside = 2 * round(_BESIDE * cell_width_px) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (beside, beside))
-    marked = cv2.dilate((probability >= threshold).astype(np.uint8), disc)
-    new = (wide > 0) & (marked == 0)
-    return np.where(new, np.maximum(probability, np.float32(threshold)), probability)
+    value = np.maximum(probability, np.float32(threshold))
+    return np.where(wide > 0, value, probability)
 
 
 def _disc(share: float) -> NDArray[np.uint8]:

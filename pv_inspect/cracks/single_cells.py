@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.csv_tables import csv_text
 from pv_inspect.cracks import BusbarFinder, CrackDetector, novelty_of, operating_point_of
-from pv_inspect.cracks.blocks import cut_off_blocks, with_block_edges
+from pv_inspect.cracks.blocks import cut_off_blocks
+from pv_inspect.cracks.completion import completed
 from pv_inspect.cracks.features import FEATURES, CellFeatures, measure_cell, texts
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
-from pv_inspect.cracks.links import linked
 from pv_inspect.cracks.module_pictures import module_in
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.image_files.jpeg import read_photo
@@ -204,8 +204,7 @@ def read_plain_cell(path: Path, detector: CrackDetector, settings: Settings) -> 
     else:
         probability, busbars = detector.probability(image), busbars_from_image(image)
     width, blocks = float(image.shape[1]), cut_off_blocks(image)
-    probability = with_block_edges(np.clip(probability, 0, 1), blocks, point.threshold, width)
-    probability = linked(probability, image, point.threshold, width)
+    probability = completed(probability, image, blocks, point, width)
     features = measure_cell(
         image,
         probability,

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from pv_inspect.cracks.blocks import cut_off_blocks, with_block_edges
-from pv_inspect.cracks.features import CellFeatures, measure_cell
+from pv_inspect.cracks.completion import completed
+from pv_inspect.cracks.features import CellFeatures, OperatingPoint, measure_cell
 
 SIDE = 200
 
@@ -147,10 +148,18 @@ def test_a_cut_off_part_is_class_c_though_the_detector_sees_no_crack() -> None:
     assert measured(cell(), nothing).crack_class == "none"
 
 
-def test_the_edge_is_not_marked_beside_a_mark_that_is_there() -> None:
+def test_the_edge_is_not_marked_in_a_cell_with_marks() -> None:
     tile = with_part(cell(), PARTS["corner"])
     marks = np.zeros((SIDE, SIDE), np.uint8)
     cv2.line(marks, (80, -2), (-5, 57), 1, 3)
     probability = 0.9 * marks.astype(np.float32)
-    marked = with_block_edges(probability, cut_off_blocks(tile), 0.3, SIDE)
-    assert (marked != probability).sum() < 0.2 * marks.sum()
+    point = OperatingPoint(0.3, least_extent_cells=0.02)
+    blocks = cut_off_blocks(tile)
+    np.testing.assert_array_equal(completed(probability, tile, blocks, point, SIDE), probability)
+    assert measured(tile, probability).crack_class == "C"
+    # A speck that is no mark leaves the edge to be marked.
+    speck = np.zeros_like(probability)
+    speck[100, 100] = 0.9
+    edge = with_block_edges(np.zeros_like(speck), blocks, 0.3, SIDE) >= 0.3
+    assert edge.any()
+    assert (completed(speck, tile, blocks, point, SIDE)[edge] >= 0.3).all()
