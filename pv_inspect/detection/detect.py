@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.filled_frame import module_to_the_edge
 from pv_inspect.detection.joined_views import SHOWN_TOGETHER
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
@@ -256,6 +257,8 @@ def _outcome(
         return error
     except OutlineError as error:
         reason = error
+    with suppress(OutlineError):
+        return _unless_better(image, layout, module_to_the_edge(image, layout, inside), inside)
     if not ask:
         return reason
     seen = seen_layout(image, layout, inside)

@@ -86,7 +86,12 @@ class GridFaultError(OutlineError):
 
 @solver_errors_as_reasons()
 def detect_in_frame(
-    image: NDArray[np.float32], layout: ModuleLayout, start: Pose, *, whole: bool = False
+    image: NDArray[np.float32],
+    layout: ModuleLayout,
+    start: Pose,
+    *,
+    whole: bool = False,
+    to_the_edge: bool = False,
 ) -> Found:
     """Refine a coarse pose on the gaps between the cells and read the crossing points.
 
@@ -98,6 +103,8 @@ def detect_in_frame(
         Right to about a tenth of a cell.
     whole : bool
         Whether the frame is known to show the whole module.
+    to_the_edge : bool
+        Whether outer lines may lie on the border of the image, where they can't be measured.
 
     Returns
     -------
@@ -132,7 +139,7 @@ def detect_in_frame(
     if fault:
         raise GridFaultError(fault)
     crossings = crossings_of(layout, edges, offsets, pose)
-    if whole and _share_of_ends(layout, crossings) < LEAST_ENDS:
+    if whole and not to_the_edge and _share_of_ends(layout, crossings) < LEAST_ENDS:
         raise GridFaultError(
             f"the {layout.rows} x {layout.cols} cells begin and end at no border: what lies on the "
             "inner lines are busbars"
@@ -224,17 +231,25 @@ def complete_outlines(
         raise OutlineError(RUNS_OVER if cut else "no module")
 
 
-def found_in_outline(image: NDArray[np.float32], layout: ModuleLayout, outline: Outline) -> Found:
+def found_in_outline(
+    image: NDArray[np.float32],
+    layout: ModuleLayout,
+    outline: Outline,
+    *,
+    to_the_edge: bool = False,
+) -> Found:
     """Find the crossing points within one outline, with lens distortion and else without.
 
-    Parameters and errors are those of `find_module`.
+    Parameters and errors are those of `find_module` and `detect_in_frame`.
     """
     first: OutlineError | None = None
     fits: list[Found] = []
     for distorted in (True, False):
         for start in _starts(image.shape, outline, layout, distorted):
             try:
-                fits.append(detect_in_frame(image, layout, start, whole=True))
+                fits.append(
+                    detect_in_frame(image, layout, start, whole=True, to_the_edge=to_the_edge)
+                )
             except OutlineError as error:
                 first = first or error
         # The wrong orientation of a square outline may catch busbars, but not everywhere.

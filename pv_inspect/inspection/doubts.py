@@ -6,6 +6,7 @@ import numpy as np
 
 from pv_inspect.common.gap_text import gap_text
 from pv_inspect.cracks import CrackMap
+from pv_inspect.detection.filled_frame import hidden_sides
 from pv_inspect.detection.orientation import runs_down
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -87,6 +88,7 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
         lock_in_sentence(sequence.lock_in, confirm=inspection.settings.lock_in is None),
         copies_sentence(sequence.copies, sequence.names),
         quarter_turn_sentence(registration),
+        _no_end_seen(registration, sequence.shape),
     )
     found += [sentence for sentence in sentences if sentence]
     if used > 1 and not registration.comparable:
@@ -194,6 +196,19 @@ def quarter_turn_sentence(registration: Registration) -> str:
         f"The frames show the module with {layout.cols} rows and {layout.rows} columns, turned by "
         "a quarter from the given ones: if rows and columns were swapped, give --rows "
         f"{layout.cols} --cols {layout.rows}{aspect}."
+    )
+
+
+def _no_end_seen(registration: Registration, shape: tuple[int, int]) -> str:
+    """Say where the module fills the frames to their edge, so that it may go on outside."""
+    used = np.flatnonzero(registration.used)
+    poses = [Pose(registration.camera, registration.homographies[i]) for i in used]
+    hidden = hidden_sides(registration.layout, poses, shape) if poses else []
+    if not hidden:
+        return ""
+    return (
+        f"The frames end at the {', '.join(hidden)} of the module: whether it goes on there can't "
+        "be seen, please confirm rows and columns."
     )
 
 

@@ -123,3 +123,21 @@ def test_rows_that_run_down_the_frames_are_warned_about() -> None:
     texts = warnings_of(replace(made, registration=turned))
     rows, cols = registration.layout.rows, registration.layout.cols
     assert any(f"give --rows {cols} --cols {rows}" in text for text in texts)
+
+
+def test_frames_that_end_where_the_module_ends_are_a_warning() -> None:
+    made = made_inspection()
+    registration = made.registration
+    assert registration is not None
+    assert not any("whether it goes on" in text for text in warnings_of(made))
+    # Nearer by so much that no frame shows what lies around the module.
+    K, camera = registration.camera.K, replace(registration.camera, kappa=0.0)
+    centre = camera.project(registration.homographies[0], np.array([registration.layout.size]) / 2)
+    shape = made.frames.shape
+    shift = np.array([[4, 0, 0.0], [0, 4, 0], [0, 0, 1]])
+    shift[:2, 2] = np.array(shape[::-1]) / 2 - 4 * centre[0]
+    filled = np.linalg.inv(K) @ shift @ K @ registration.homographies
+    texts = warnings_of(
+        replace(made, registration=replace(registration, camera=camera, homographies=filled))
+    )
+    assert any("The frames end at the first row" in text for text in texts)
