@@ -215,8 +215,13 @@ def _no_end_seen(registration: Registration, shape: tuple[int, int]) -> str:
 def _contradiction(inspection: Inspection) -> str:
     registration = inspection.need(Registration)
     typical = known_median(inspection.need(Reconstruction).residual_rms)
-    if registration.used.sum() < 2 or not typical > CONTRADICTION:
+    if not typical > CONTRADICTION:
         return ""
+    if registration.used.sum() == 1:
+        return (
+            f"The module image differs from the only frame by {typical:.1f} times its noise, "
+            "typically 1: its intensities or its noise were misjudged."
+        )
     return (
         f"The frames contradict the module image by {typical:.1f} times their noise, typically "
         "1: check that all of them show the same module and that the grid fits them."

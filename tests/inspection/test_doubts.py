@@ -33,6 +33,16 @@ def test_frames_that_contradict_the_image_put_it_in_doubt(residual: float, doubt
     assert all("same module" in doubt for doubt in doubts)
 
 
+def test_an_image_that_differs_from_the_only_frame_is_in_doubt() -> None:
+    made = made_inspection(
+        reconstruction=replace(made_reconstruction(), residual_rms=(14.8, np.nan, np.nan))
+    )
+    assert made.registration is not None
+    alone = replace(made.registration, used=np.array([True, False, False]))
+    (doubt,) = doubts_of(replace(made, registration=alone))
+    assert "differs from the only frame by 14.8 times its noise" in doubt
+
+
 def test_a_module_of_which_no_cell_can_be_judged_is_in_doubt() -> None:
     made = made_inspection()
     assert made.cracks is not None

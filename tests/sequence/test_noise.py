@@ -44,3 +44,14 @@ def test_images_without_noise_or_pixels_still_give_a_positive_sigma(value: float
     for mask in (np.ones(SHAPE, bool), np.zeros(SHAPE, bool)):
         noise = estimate_noise([image], [mask])
         assert noise.sigma(image).min() > 0.0
+
+
+def test_few_dark_pixels_do_not_get_nearly_all_the_weight() -> None:
+    """A photograph that is cropped to its module shows next to nothing of the line at black."""
+    rng = np.random.default_rng(0)
+    light = np.tile(np.linspace(0.3, 0.5, 320), (240, 1))
+    # The line meets zero at 0.25: at black nothing of it is left.
+    frame = (light + rng.normal(0, np.sqrt(1e-4 * (light - 0.25)))).astype(np.float32)
+    noise = estimate_noise([frame], [np.ones(frame.shape, bool)])
+    dark, bright = noise.sigma(np.array([0.0, 0.4], np.float32)) ** 2
+    assert bright / dark < 150
