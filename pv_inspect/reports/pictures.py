@@ -28,6 +28,9 @@ Picture = NDArray[np.uint8]
 
 CRACK_RGB = (213, 94, 0)
 """Vermilion of the Okabe-Ito palette: seen on grey by colour-blind readers too."""
+_PNG_LEVEL = 6
+"""Of 1 to 9. On overlays of 1600 x 960 px, thin lines and pure noise, 9 takes 8 and 12 times as
+long, 1.4 and 6.9 s, for files that are 5 and 4 % smaller."""
 
 
 def crack_mask(cracks: CrackMap, grid: HrGrid) -> Image:
@@ -100,7 +103,8 @@ def overlay_url(probability: Image, marks: Image, longest: int) -> str:
     """`crack_overlay` as the address of a PNG."""
     rgba = crack_overlay(probability, marks, longest)
     bgra = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA)
-    return _data_url("image/png", cv2.imencode(".png", bgra, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1])
+    options = [cv2.IMWRITE_PNG_COMPRESSION, _PNG_LEVEL]
+    return _data_url("image/png", cv2.imencode(".png", bgra, options)[1])
 
 
 def jpeg_url(picture: Picture) -> str:
