@@ -99,17 +99,18 @@ def test_the_read_out_is_the_quadratic_form_it_says() -> None:
     assert weights.log_odds(x)[1, 2] == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_real_cracked_cells_score_higher_than_real_sound_cells() -> None:
     folder = Path(__file__).resolve().parents[3] / "shared" / "data" / "cracks" / "val"
     if not folder.is_dir():
         pytest.skip("the labelled cells in ../shared/data/cracks are not on this machine")
     detector = RidgeDetector()
     scores: dict[bool, list[float]] = {True: [], False: []}
-    for path in sorted((folder / "img").iterdir()):
+    # Every fifth of 172: of the pairs 0.922 are in order, of those of all cells 0.925.
+    for path in sorted((folder / "img").iterdir())[::5]:
         label = cv2.imread(str(folder / "ann" / f"{path.stem}.png"), cv2.IMREAD_UNCHANGED)
         tile = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255
         p = detector.probability(tile)
         scores[bool((label == 3).sum() > 40)].append(float(np.sort(p, axis=None)[-160:].mean()))
     cracked, sound = np.array(scores[True]), np.array(scores[False])
+    assert min(len(cracked), len(sound)) > 10
     assert (cracked[:, None] > sound[None]).mean() > 0.9
