@@ -26,22 +26,24 @@ def _poses() -> np.ndarray:
 
 
 def _drawn(grid: HrGrid, appears_at: np.ndarray) -> np.ndarray:
-    """Draw cells of unequal brightness whose module coordinates are `appears_at`, blurred."""
-    x, y = np.moveaxis(appears_at, -1, 0)
+    """Draw cells of unequal brightness, blurred; `appears_at` is what each pixel's centre shows.
+
+    Every pixel is the mean of FINER x FINER samples, whose places lie between those of the centres.
+    """
+    places = appears_at.astype(np.float32)
+    x, y = cv2.split(cv2.resize(places, None, fx=FINER, fy=FINER, interpolation=cv2.INTER_LINEAR))
     inside = (x > 0) & (x < 7) & (y > 0) & (y < 5)
-    levels = np.random.default_rng(2).uniform(0.4, 0.8, (5, 7))
+    levels = np.random.default_rng(2).uniform(0.4, 0.8, (5, 7)).astype(np.float32)
     cells = levels[np.clip(y, 0, 4).astype(int), np.clip(x, 0, 6).astype(int)]
     gap = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y))) < 0.01
-    image = np.where(inside & ~gap, cells, 0.05).astype(np.float32)
-    height, width = grid.shape
-    pixels = image.reshape(height, FINER, width, FINER).mean(axis=(1, 3))
+    image = np.where(inside & ~gap, cells, np.float32(0.05))
+    pixels = cv2.resize(image, grid.shape[::-1], interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(pixels, (0, 0), 0.55 * grid.magnification)
 
 
 def _pixel_points(grid: HrGrid) -> np.ndarray:
-    """Module coordinates of FINER x FINER samples in every pixel."""
-    height, width = grid.shape
-    rows, cols = (np.mgrid[0 : height * FINER, 0 : width * FINER] + 0.5) / FINER - 0.5
+    """Module coordinates of the centres of all pixels."""
+    rows, cols = np.mgrid[: grid.shape[0], : grid.shape[1]]
     return grid.to_module(np.stack([cols, rows], axis=-1))
 
 
