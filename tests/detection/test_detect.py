@@ -158,6 +158,8 @@ def test_a_layout_that_most_frames_speak_against_is_refused(
         return "there is no border between row 1 and 2 of" if image.mean() > limit else ""
 
     monkeypatch.setattr("pv_inspect.detection.single_frame.grid_fault", fault)
+    # Faulty frames are looked at again from three others; one place in each is enough here.
+    monkeypatch.setattr("pv_inspect.detection.overlapping_view.PEAKS", 1)
     if faulty == 2:
         crossings = _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
         assert [frame.why == "" for frame in crossings.frames] == [False, False, True, True, True]
@@ -253,8 +255,8 @@ def test_a_point_beside_every_module_is_refused(
 def test_frames_that_all_cut_the_module_are_one_sentence_of_their_own(
     small_sequence: tuple[SimulatedSequence, Path],
 ) -> None:
-    frames = [frame[:, 100:] for frame in _floats(small_sequence[0])[:3]]
-    with pytest.raises(InspectionError, match=r"in all 3 .* must show the whole module"):
+    frames = [frame[:, 100:] for frame in _floats(small_sequence[0])[:2]]
+    with pytest.raises(InspectionError, match=r"in all 2 .* must show the whole module"):
         _finish(detect(_in_memory(frames), ModuleLayout(4, 6)))
 
 
