@@ -45,3 +45,27 @@ def small_sequence(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedS
     folder = tmp_path_factory.mktemp("sequences") / "small"
     write_sequence(simulation, folder)
     return simulation, folder
+
+
+@pytest.fixture(scope="session")
+def quick_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of eight frames of 3 x 5 cells, 180 x 120 px, for what runs all stages.
+
+    Its cells are clean, suspected and dark; in every second frame alone some can't be judged.
+    """
+    settings = SimulationSettings(
+        seed=6,
+        rows=3,
+        cols=5,
+        n_frames=8,
+        width=180,
+        height=120,
+        kappa=-0.15,
+        tilt_deg=10,
+        pixels_per_unit=120,
+        supersampling=3,
+        jitter_px=2.0,
+    )
+    folder = tmp_path_factory.mktemp("sequences") / "quick"
+    write_sequence(simulated(settings), folder)
+    return folder

@@ -9,7 +9,6 @@ import nbformat
 import numpy as np
 import pytest
 
-from pv_inspect.simulate import SimulatedSequence
 from tests.notebooks import EXAMPLES, executed, shown
 
 NOTEBOOKS = sorted(path.name for path in EXAMPLES.glob("*.ipynb"))
@@ -24,10 +23,10 @@ def alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def beside_a_small_module(small_sequence: tuple[SimulatedSequence, Path], tmp_path: Path) -> Path:
-    """Return a folder beside a sample that costs a tenth; the real one is the third notebook's."""
+def beside_a_small_module(quick_folder: Path, tmp_path: Path) -> Path:
+    """Return a folder beside a small sample; the real one is the third notebook's."""
     (tmp_path / "sample_data").mkdir()
-    (tmp_path / "sample_data" / "module").symlink_to(small_sequence[1], target_is_directory=True)
+    (tmp_path / "sample_data" / "module").symlink_to(quick_folder, target_is_directory=True)
     folder = tmp_path / "examples"
     folder.mkdir()
     return folder

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pv_inspect
-from pv_inspect.simulate import SimulatedSequence
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -25,11 +24,9 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_the_snippet_runs_as_it_is_written(
-    small_sequence: tuple[SimulatedSequence, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    quick_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "folder").symlink_to(small_sequence[1], target_is_directory=True)
+    (tmp_path / "folder").symlink_to(quick_folder, target_is_directory=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
     import pv_inspect as pv
