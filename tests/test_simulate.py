@@ -190,6 +190,64 @@ def test_a_module_that_the_distortion_folds_over_is_refused() -> None:
         simulated(replace(TINY, kappa=-1.0, fill=1.4))
 
 
+def edge_frame(**changed: object) -> np.ndarray:
+    """One frame of a scene that is dark on the left and bright on the right."""
+    settings = replace(
+        TINY.without_noise().without_motion(), n_frames=1, tilt_deg=0.0, roll_deg=0.0
+    )
+    settings = replace(settings, kappa=0.0, supersampling=8, **changed)  # type: ignore[arg-type]
+    radiance = np.zeros((1200, 1200))
+    radiance[:, 600:] = 1.0
+    frame = simulated(settings, custom_scene(settings, radiance, 500.0)).frames[0]
+    return frame.astype(np.float64) - 64
+
+
+@pytest.mark.parametrize("shape", ["gaussian", "disc"])
+def test_both_shapes_of_the_blur_have_the_wanted_standard_deviation(shape: str) -> None:
+    def variance(sigma: float) -> float:
+        line = np.diff(edge_frame(psf_sigma_px=sigma, psf_shape=shape)[60])
+        x = np.arange(len(line))
+        mean = (line * x).sum() / line.sum()
+        return float((line * (x - mean) ** 2).sum() / line.sum())
+
+    # Sharper edges than these are not sampled finely enough for a second moment.
+    assert variance(1.2) - variance(0.7) == pytest.approx(1.2**2 - 0.7**2, rel=0.02)
+
+
+def test_a_disc_ends_where_a_gaussian_does_not() -> None:
+    blurred = {
+        kind: edge_frame(psf_sigma_px=1.5, psf_shape=kind)[60] for kind in ("disc", "gaussian")
+    }
+    share = {
+        kind: (line > 0.002 * line.max()) & (line < 0.998 * line.max())
+        for kind, line in blurred.items()
+    }
+    assert share["disc"].sum() + 2 <= share["gaussian"].sum()
+
+
+def test_the_blur_of_the_scene_softens_outlines_and_the_spread_of_light_does_not() -> None:
+    def steepest(**changed: float) -> float:
+        made = replace(TINY, crack_share=0.0, pixels_per_unit=100, n_frames=1, rows=2, cols=2)
+        scene = simulated(replace(made, **changed)).scene  # type: ignore[arg-type]
+        middle = scene.radiance[scene.radiance.shape[0] // 3]
+        return float(np.abs(np.diff(middle))[: int(scene.origin_px[0]) + 10].max())
+
+    sharp = steepest()
+    assert steepest(light_spread=0.02) == pytest.approx(sharp, rel=0.1)
+    assert steepest(scene_blur=0.02) < 0.5 * sharp
+
+
+def test_the_gap_between_wafers_has_its_width() -> None:
+    def dark(gap: float) -> int:
+        made = replace(TINY, wafer_gap=gap, pixels_per_unit=200, n_frames=1, dark_cell_share=0.0)
+        scene = simulated(replace(made, crack_share=0.0)).scene
+        x = round(scene.origin_px[0] + 200 + 0.5)
+        line = scene.radiance[round(scene.origin_px[1]) + 60, x - 20 : x + 20]
+        return int((line < 0.5 * np.median(line)).sum())
+
+    assert dark(0.04) - dark(0.02) == pytest.approx(4, abs=1)
+
+
 # sensor
 
 

@@ -219,8 +219,10 @@ class Exposer:
         """
         samples = self._sample(pose.H)
         settings, ss = self._settings, self._settings.supersampling
-        if settings.psf_sigma_px > 0:
-            sigma = settings.psf_sigma_px * ss
+        sigma = settings.psf_sigma_px * ss
+        if sigma > 0 and settings.psf_shape == "disc":
+            samples = np.asarray(cv2.filter2D(samples, -1, _disc_kernel(sigma)), np.float32)
+        elif sigma > 0:
             radius = int(np.ceil(4 * sigma))
             blurred = cv2.GaussianBlur(samples, (2 * radius + 1, 2 * radius + 1), sigma)
             samples = np.asarray(blurred, np.float32)
@@ -256,6 +258,16 @@ class Exposer:
 def _strips(n: int, rows: int = 256) -> list[slice]:
     """Row blocks: temporary arrays stay in the cache and memory small."""
     return [slice(k, min(k + rows, n)) for k in range(0, n, rows)]
+
+
+def _disc_kernel(sigma: float) -> Image:
+    """Disc with a standard deviation of sigma samples per axis, its rim by area."""
+    radius, parts = 2.0 * sigma, 16
+    half = int(np.ceil(radius + 0.5))
+    at = (np.arange((2 * half + 1) * parts) + 0.5) / parts - half - 0.5
+    inside = (at[:, None] ** 2 + at[None, :] ** 2 <= radius**2).astype(np.float64)
+    kernel = inside.reshape(2 * half + 1, parts, 2 * half + 1, parts).mean((1, 3))
+    return np.asarray(kernel / kernel.sum(), np.float32)
 
 
 def _line_kernel(length: float, angle_deg: float) -> Image:

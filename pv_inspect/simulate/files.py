@@ -52,7 +52,7 @@ def truth_dict(sequence: SimulatedSequence, name: str) -> dict[str, Any]:
         "K": sequence.camera_matrix.tolist(),
         "kappa": settings.kappa,
         "psf": {
-            "kind": "gaussian",
+            "kind": settings.psf_shape,
             "sigma": settings.psf_sigma_px,
             "unit": "LR px, standard deviation per axis, before the square pixel aperture",
         },

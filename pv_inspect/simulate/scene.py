@@ -33,12 +33,8 @@ MEAN_RADIANCE = 0.7
 """Radiance of an average cell."""
 MARGIN = 0.2
 """Border of the scene around the cells, module units: backsheet and frame."""
-_GAP = 0.019
-"""Width of the gap between two cells, module units."""
 _BACKSHEET, _FRAME = 0.055, 0.012
 _FRAME_AT = 0.15
-_SPREAD = 0.0038
-"""Spread of light within the module, standard deviation, module units."""
 
 
 @dataclass(frozen=True)
@@ -122,14 +118,23 @@ def render_scene(
         for col in range(layout.cols):
             window = _cell_window(layout, ppu, origin, row, col)
             tile, cell = _render_cell(settings, rng, maps, window, (row, col), upright)
-            inside = _cell_outline(layout, ppu, origin, window, (row, col), settings.wafer)
+            inside = _cell_outline(layout, ppu, origin, window, (row, col), settings)
             cells_light[window] = tile * inside
             coverage[window] = inside
             truth.append(cell)
         yield (row + 1) / layout.rows
     radiance = cells_light + (1 - coverage) * _surroundings(cells_light, layout, ppu, origin)
+    radiance = _blurred(radiance, settings.scene_blur * ppu)
     mask = maps.mask & (coverage > 0.5)
     return Scene(layout, ppu, (origin, origin), radiance, mask, tuple(truth))
+
+
+def _blurred(image: Image, sigma_px: float) -> Image:
+    """Gaussian blur; 0 leaves the image as it is."""
+    if sigma_px <= 0:
+        return image
+    blurred = cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, np.float32)
 
 
 def _cell_window(
@@ -172,9 +177,9 @@ def _render_cell(
     tile *= metal(rng, shape, 1 / ppu, busbars, settings.busbar_style)
     tile = np.ascontiguousarray(tile.T) if upright else tile
     # Light spreads in silicon and glass before it reaches the lens; cracks stay sharper.
-    spread = cv2.GaussianBlur(tile, (0, 0), _SPREAD * ppu, borderType=cv2.BORDER_REPLICATE)
+    spread = _blurred(tile, settings.light_spread * ppu)
     level = np.float32(MEAN_RADIANCE * 1.04 * gain)
-    tile = np.asarray(spread, np.float32) * maps.transmission[window] * level
+    tile = spread * maps.transmission[window] * level
     cracked = bool(maps.mask[window].any())
     return tile, CellTruth(*place, round(gain, 5), cracked, dark)
 
@@ -185,7 +190,7 @@ def _cell_outline(
     origin: float,
     window: tuple[slice, slice],
     place: tuple[int, int],
-    wafer: str,
+    settings: SimulationSettings,
 ) -> Image:
     """Share of each pixel that the wafer covers; monocrystalline wafers have cut corners.
 
@@ -196,11 +201,11 @@ def _cell_outline(
     y = (np.arange(window[0].start, window[0].stop) - origin)[:, None] / ppu
     x = (np.arange(window[1].start, window[1].stop) - origin)[None, :] / ppu
     y, x = y - layout.row_starts[row], x - layout.col_starts[col]
-    gap = max(layout.cell_gap[0], _GAP)
+    gap = max(layout.cell_gap[0], settings.wafer_gap)
     left, top = x - gap / 2, y - gap / 2
     right, bottom = 1 - gap / 2 - x, height - gap / 2 - y
     inside = np.minimum(np.minimum(left, right), np.minimum(top, bottom))
-    size = 0.05 if wafer == "mono" else 0.008
+    size = 0.05 if settings.wafer == "mono" else 0.008
     halved_y, halved_x = layout.cell_aspect > 1.5, layout.cell_aspect < 0.67
     for vertical, is_top in ((top, True), (bottom, False)):
         for horizontal, is_left in ((left, True), (right, False)):

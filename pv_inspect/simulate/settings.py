@@ -55,6 +55,17 @@ class SimulationSettings:
     busbar_style: str = _choice("solid", ("solid", "dashed"), "Form of the busbars.")
     crack_share: float = _number(0.35, "share", 0, 1, "Share of cells in which a crack starts.")
     dark_cell_share: float = _number(0.015, "share", 0, 1, "Share of cells that are nearly dead.")
+    wafer_gap: float = _number(0.019, "cell widths", 0, 0.2, "The usual gap between two wafers.")
+    light_spread: float = _number(
+        0.0038,
+        "cell widths",
+        0,
+        0.2,
+        "Spread of light in a cell: busbars get soft, its outline not.",
+    )
+    scene_blur: float = _number(
+        0.0, "cell widths", 0, 0.2, "Gaussian blur of the whole scene, outlines of cells as well."
+    )
     pixels_per_unit: int = _number(240, "scene px", 24, 1000, "Scene pixels per cell width.")
 
     n_frames: int = _number(20, "frames", 1, 1000, "Frames of the sequence.")
@@ -72,8 +83,9 @@ class SimulationSettings:
     jitter_deg: float = _number(0.4, "deg", 0, 5, "Spread of tilt and roll between frames.")
     motion_blur_px: float = _number(0.3, "LR px", 0, 30, "Longest motion during one exposure.")
     psf_sigma_px: float = _number(
-        0.42, "LR px", 0, 5, "Optical Gaussian blur, before the pixel aperture."
+        0.42, "LR px", 0, 5, "Optical blur, standard deviation per axis, before the aperture."
     )
+    psf_shape: str = _choice("gaussian", ("gaussian", "disc"), "Gaussian or disc out of focus.")
     supersampling: int = _number(6, "1", 1, 16, "Scene samples per LR pixel along x and y.")
 
     exposure: float = _number(0.62, "full scale", 0.001, 100, "Signal at radiance 1.")
