@@ -49,13 +49,17 @@ __all__ = ["gaps_in_frame", "layout_with_gaps"]
 Array = NDArray[np.float64]
 
 TRIED_FRAMES = 3
-LEAST_GAP = 0.02
-"""What is less wide, 3 mm of a cell of 156 mm, is taken for a usual gap laid unevenly."""
-LEAST_PX = 0.4
+LEAST_GAP = 0.01
+"""What is less wide, 1.5 mm of a cell of 156 mm, is taken for a usual gap laid unevenly."""
+LEAST_PX = 0.25
 LEAST_SIGMA = 4.0
 """Of single frames of 13 simulated modules the clearest false gap had 2.3 and a width up to 0.015,
 the least clear true one of 0.05 cell widths 4.3 (modules of benchmarks/wrong_layouts.py, seeds 200
 to 213)."""
+NARROW_GAP, NARROW_SIGMA = 0.02, 6.0
+"""Narrower ones must be clearer. Of 29 single frames the clearest false gap had 3.2, the widest of
+over 2 sigma 0.012 cell widths and 0.2 px (modules of benchmarks/gapped_modules.py, seeds 1000 to
+1039 but the mini-modules)."""
 PROPOSALS_EACH, MOST_PROPOSALS = 4, 12
 """Layouts tried in one outline, and in all of one frame."""
 MOST_WIDE_GAPS = 6
@@ -309,7 +313,7 @@ def _clearest_step(
     spread = MAD_TO_SIGMA * float(np.median(np.abs(rest)))
     # Of the search for the module: half of its width.
     least = max(LEAST_GAP, LEAST_PX / pose.scale_px(layout.size))
-    best, clearest = None, LEAST_SIGMA
+    best, clearest = None, 0.0
     for key, step in steps.items():
         if key in chosen:
             continue
@@ -320,7 +324,8 @@ def _clearest_step(
             continue
         gap = float(column @ rest) / power
         significance = gap * np.sqrt(power) / max(spread, 1e-12)
-        if gap >= least and significance > clearest:
+        clear = significance > (LEAST_SIGMA if gap >= NARROW_GAP else NARROW_SIGMA)
+        if gap >= least and clear and significance > clearest:
             best, clearest = key, significance
     return best
 
