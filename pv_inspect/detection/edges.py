@@ -18,8 +18,13 @@ from pv_inspect.detection.gap_model import (
     best_shape,
     fit_gaps,
     fit_steps,
-    gap_width,
     missing_light,
+)
+from pv_inspect.detection.gap_width import (
+    SIDES_APART_PX,
+    UNSURE_WIDTH,
+    gap_width,
+    width_between_sides,
 )
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -179,7 +184,8 @@ def measure_edges(
 
     which is linear in L, R, G. The place with the most significant (L + R) / 2 - G > 0 is refined
     by Gauss-Newton. An outer edge is measured as a step alone: it lies half a gap inside of the
-    cell's pitch. Gaps that are wider than the usual ones have that much larger w.
+    cell's pitch. Gaps that are wider than the usual ones have that much larger w; where their
+    sides are clearly apart, w is what is seen between them.
     """
     groups = ((edges.gap == gap, float(gap)) for gap in np.unique(edges.gap))
     return EdgeOffsets.together(
@@ -199,7 +205,7 @@ def _measure_alike(
     scale = float(np.nanmedian(scales_px(edges, pose)))
     wider = gap_units * scale
     usual = search * scale + max(shape.reach for shape in GAP_SHAPES) + 2 * STEP_PX
-    x = _distances(usual + wider / 2)
+    x = _distances(usual + (0.5 + UNSURE_WIDTH) * wider)
     search_px = max(search * scale, STEP_PX)
     samples, visible = edge_profiles(image, edges, pose, x / scale, ALONG)
     profiles = samples.mean(axis=1)
@@ -217,10 +223,14 @@ def _measure_alike(
     sigma = np.full(len(profiles), np.inf)
     found = np.zeros(len(profiles), bool)
     shapes = [GAP_SHAPES[0], GAP_SHAPES[0]]
+    widths = [wider, wider]
     for axis in range(2):
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
         if inner.any():
             shapes[axis] = best_shape(profiles[inner], x, search_px, wider)
+            if wider > SIDES_APART_PX:
+                widths[axis] = width_between_sides(profiles[inner], x, search_px, wider)
+                shapes[axis] = shapes[axis].widened(widths[axis] - shapes[axis].width)
             place[inner], sigma[inner], found[inner] = fit_gaps(
                 profiles[inner], x, search_px, shapes[axis]
             )
@@ -233,14 +243,14 @@ def _measure_alike(
             continue
         # Gaps between rows and between columns may differ in width.
         gaps = inner if inner.any() else found & edges.inner
-        gap = 0.0
+        gap = widths[axis] - wider
         if not wider and gaps.any():
             gap = gap_width(profiles[gaps], x, place[gaps], shapes[axis])
         turn = edges.side[outer] < 0
         flipped = np.where(turn[:, None], around[outer][:, ::-1], around[outer])
         step, deviation, good = fit_steps(flipped, at_cell, search_px)
         place[outer] = np.where(turn, -1, 1) * (step - gap / 2)
-        sigma[outer] = np.hypot(deviation, 0.25 * gap + 0.1)
+        sigma[outer] = np.hypot(deviation, 0.25 * abs(gap) + 0.1)
         found[outer] = good
     return EdgeOffsets(np.where(found, place / scale, np.nan), sigma / scale, found, visible)
 

@@ -13,7 +13,6 @@ __all__ = [
     "CORRELATED",
     "GAP_ITERATIONS",
     "GAP_SHAPES",
-    "MAX_GAP_PX",
     "MIN_DEPTH",
     "MIN_SIGNIFICANCE",
     "STEP_BLUR_PX",
@@ -23,7 +22,7 @@ __all__ = [
     "best_shape",
     "fit_gaps",
     "fit_steps",
-    "gap_width",
+    "gap_basis",
     "missing_light",
 ]
 
@@ -47,9 +46,6 @@ CORRELATED = 3.0
 
 
 GAP_ITERATIONS = 4
-
-
-MAX_GAP_PX = 4.0
 
 
 STEP_BLUR_PX = 0.8
@@ -117,7 +113,7 @@ def _windows(profiles: Array, x: Array, search: float, reach: float) -> tuple[Ar
     return x[candidates], distance, parts
 
 
-def _gap_basis(x: Array, shape: GapShape) -> tuple[Array, Array]:
+def gap_basis(x: Array, shape: GapShape) -> tuple[Array, Array]:
     """Blurred level on the left, on the right and in the gap, and their slopes: (..., 3) each."""
     t_left = (x + shape.width / 2) / shape.blur
     t_right = (x - shape.width / 2) / shape.blur
@@ -136,7 +132,7 @@ def _search(
 ) -> tuple[Array, Array, Array, Array]:
     """Significance of a gap at every candidate place, (n, k), with `_windows`."""
     candidates, distance, parts = _windows(profiles, x, search, shape.reach)
-    basis, _ = _gap_basis(distance, shape)
+    basis, _ = gap_basis(distance, shape)
     inverse = np.linalg.pinv(basis)
     levels = parts @ inverse.T
     residual = np.square(parts - levels @ basis.T).mean(axis=-1)
@@ -167,7 +163,7 @@ def fit_gaps(
     part = parts[np.arange(n), best]
     centre = np.zeros(n)
     for _ in range(GAP_ITERATIONS):
-        basis, slopes = _gap_basis(distance - centre[:, None], shape)
+        basis, slopes = gap_basis(distance - centre[:, None], shape)
         levels = _least_squares(basis, part)
         slope = np.einsum("nmk,nk->nm", slopes, levels)
         design = np.concatenate([basis, slope[..., None]], axis=-1)
@@ -214,20 +210,3 @@ def fit_steps(profiles: Array, x: Array, search: float) -> tuple[Array, Array, N
     top, rest = height[rows, best], noise[rows, best]
     sigma = STEP_BLUR_PX * np.sqrt(2 * np.pi) * rest / np.maximum(top, 1e-9)
     return place, sigma, inside & (top > 4 * rest)
-
-
-def gap_width(profiles: Array, x: Array, place: Array, shape: GapShape) -> float:
-    """Width of a gap from its missing light, which blur does not change; image pixels."""
-    t = x - place[:, None]
-    half = max(2.2, shape.width / 2 + 2 * shape.blur)
-    beside = (np.abs(t) > half) & (np.abs(t) <= half + 1.3)
-    left, right = (
-        np.where(side, profiles, 0).sum(axis=1) / np.maximum(side.sum(axis=1), 1)
-        for side in (beside & (t < 0), beside & (t > 0))
-    )
-    good = (left > 0) & (right > 0)
-    if not good.any():
-        return 0.0
-    level = np.where(t < 0, left[:, None], right[:, None])[good]
-    missing = np.where(np.abs(t[good]) <= half, 1 - profiles[good] / level, 0).sum(axis=1)
-    return float(np.clip(np.median(missing) * STEP_PX, 0, MAX_GAP_PX))

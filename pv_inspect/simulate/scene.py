@@ -140,10 +140,16 @@ def _blurred(image: Image, sigma_px: float) -> Image:
 def _cell_window(
     layout: ModuleLayout, ppu: int, origin: float, row: int, col: int
 ) -> tuple[slice, slice]:
-    """Pixels whose centres lie in the pitch of a cell."""
-    x, y = layout.col_starts[col], layout.row_starts[row]
-    edges_y = np.ceil(origin + ppu * np.array([y, y + 1 / layout.cell_aspect])).astype(int)
-    edges_x = np.ceil(origin + ppu * np.array([x, x + 1])).astype(int)
+    """Pixels whose centres lie in the pitch of a cell; where cells lie apart, in the cell itself.
+
+    Its busbars and fingers are spread over the cell. A pixel more on each side is for its border.
+    """
+    (left, top), _, (right, bottom), _ = layout.cell_corners(row, col)
+    gap_x, gap_y = layout.cell_gap
+    edges_x = np.ceil(origin + ppu * np.array([left, right])).astype(int)
+    edges_y = np.ceil(origin + ppu * np.array([top, bottom])).astype(int)
+    edges_x += np.array([-1, 1]) * (gap_x > 0)
+    edges_y += np.array([-1, 1]) * (gap_y > 0)
     return slice(*edges_y.tolist()), slice(*edges_x.tolist())
 
 
