@@ -22,7 +22,7 @@ RESOLVED_PX = (1.3, 1.7)
 that would take as much light. Of simulated modules of 2 x 2 to 4 x 6 cells, 60 to 160 px per cell,
 the width by shape is off by 0.1 px (RMS) from 1.6 on and by up to 0.3 px below 1.5; the other one
 is too small by a fifth, for gaps are lit by the cells beside them."""
-MOST_LIT = 1.5
+MOST_LIT = 1.8
 """A gap is wider than a wholly dark one at most by this factor."""
 SIDES_APART_PX = 4.0
 """The sides of a wider gap are seen one by one: they are blurred over 2 to 3 px."""

@@ -11,7 +11,7 @@ from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.single_frame import find_module
 from pv_inspect.detection.wide_gaps import gaps_in_frame
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.simulate import SimulationSettings, simulated
+from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 HALF_CUT = {"rows": 4, "cols": 12, "cell_aspect": 0.5}
 MINI = {"rows": 2, "cols": 2, "width": 256, "height": 256}
@@ -23,8 +23,12 @@ def _settings(**values: Any) -> SimulationSettings:
 
 
 @cache
+def _made(settings: SimulationSettings) -> SimulatedSequence:
+    return simulated(settings)
+
+
 def _frame(settings: SimulationSettings) -> NDArray[np.float32]:
-    return (simulated(settings).frames[0].astype(np.float32) - 64) / 4031
+    return (_made(settings).frames[0].astype(np.float32) - 64) / 4031
 
 
 @pytest.mark.parametrize("gap", [0.05, 0.1, 0.2, 0.4])
@@ -39,6 +43,24 @@ def test_the_gap_of_a_half_cut_module_is_found_without_being_told(gap: float) ->
     assert found.cell_gap == (0.0, 0.0)
 
 
+def test_a_narrow_gap_is_found_where_it_is_clear() -> None:
+    settings = _settings(rows=12, cols=4, cell_aspect=2.0, row_gap=0.019, width=320, height=400)
+    found = gaps_in_frame(_frame(settings), settings.layout.plain)
+    assert found is not None
+    assert found.row_gaps == ((6, pytest.approx(0.019, abs=0.004)),)
+    assert found.col_gaps == ()
+
+
+@pytest.mark.parametrize("told", [0.17, 0.21])
+def test_a_gap_told_a_little_wrong_does_not_move_the_grid(told: float) -> None:
+    settings = _settings(**MINI, cell_gap=0.19, dark_cell_share=0.0)
+    found = find_module(_frame(settings), ModuleLayout(2, 2, cell_gap=(told, told)))
+    true = _made(settings).crossings_px(0)
+    points = found.pose.project(settings.layout.crossings())
+    turns = [np.rot90(np.arange(9).reshape(3, 3), k).ravel() for k in range(4)]
+    assert min(np.abs(points[turn] - true).max() for turn in turns) < 0.5
+
+
 @pytest.mark.parametrize(
     "values", [HALF_CUT, {"rows": 4, "cols": 6}, {"rows": 5, "cols": 8, "seed": 5}, MINI]
 )
@@ -50,7 +72,7 @@ def test_no_gap_is_found_where_all_are_alike(values: dict[str, Any]) -> None:
 @pytest.mark.parametrize("gap", [0.06, 0.12, 0.2])
 @pytest.mark.parametrize("module", [MINI, {"rows": 3, "cols": 5}])
 def test_gaps_between_all_cells_are_measured(module: dict[str, Any], gap: float) -> None:
-    settings = _settings(**module, cell_gap=gap)
+    settings = _settings(**module, cell_gap=gap, dark_cell_share=0.0)
     found = gaps_in_frame(_frame(settings), settings.layout.plain)
     assert found is not None
     assert found.cell_gap == pytest.approx((gap, gap), abs=0.01)
