@@ -312,14 +312,25 @@ def _measure_alike_robustly(
 ) -> EdgeOffsets:
     """Measure edges whose gaps are wider than usual by the same width."""
     scale = float(np.nanmedian(scales_px(edges, pose)))
-    shape = usual.widened(gap_units * scale)
-    x = _distances(search * scale + BESIDE * shape.reach + 2 * STEP_PX)
+    wider = gap_units * scale
+    widened = usual.widened(wider)
+    x = _distances(search * scale + BESIDE * widened.reach + 2 * STEP_PX)
     samples, visible = edge_profiles(image, edges, pose, x / scale, ALONG_DENSELY)
     n, places = samples.shape[:2]
-    profiles = samples.reshape(n * places, -1)
-    place, _, found = fit_gaps(profiles, x, search * scale, shape)
-    dark = missing_light(profiles, x, place, shape.reach).reshape(n, places)
-    place = np.where(found, place, np.nan).reshape(n, places)
+    place, dark = np.full((n, places), np.nan), np.full((n, places), np.nan)
+    for axis in range(2):
+        along = visible & edges.inner & (edges.normal[:, axis] == 1)
+        if not along.any():
+            continue
+        shape = widened
+        if wider > SIDES_APART_PX:
+            typical = np.median(samples[along], axis=1)
+            width = width_between_sides(typical, x, search * scale, wider)
+            shape = widened.widened(width - widened.width)
+        profiles = samples[along].reshape(-1, len(x))
+        at, _, found = fit_gaps(profiles, x, search * scale, shape)
+        dark[along] = missing_light(profiles, x, at, shape.reach).reshape(-1, places)
+        place[along] = np.where(found, at, np.nan).reshape(-1, places)
     # Where one side of a gap is black, how wide the gap is can't be told.
     known = np.isfinite(place) & np.isfinite(dark)
     good = visible & edges.inner & (known.sum(axis=1) > places // 2)

@@ -18,16 +18,9 @@ from numpy.typing import NDArray
 from pv_inspect.common.gap_text import WideGaps
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.robust import MAD_TO_SIGMA
-from pv_inspect.detection.edges import (
-    ALONG,
-    CellEdges,
-    cell_edges,
-    edge_profiles,
-    measure_edges,
-    scales_px,
-)
-from pv_inspect.detection.gap_model import STEP_PX
+from pv_inspect.detection.edges import CellEdges, cell_edges, measure_edges
 from pv_inspect.detection.gap_proposals import proposed_layouts
+from pv_inspect.detection.gaps_between_all import apart_significance, seen_cell_gap
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
 from pv_inspect.detection.outline import Outline, OutlineError, fit_pose
 from pv_inspect.detection.seen_layout import SURE_SHARE, fits_given, seen_layout
@@ -40,6 +33,7 @@ from pv_inspect.detection.single_frame import (
     found_in_outline,
     search_units,
 )
+from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
@@ -60,6 +54,8 @@ NARROW_GAP, NARROW_SIGMA = 0.02, 6.0
 """Narrower ones must be clearer. Of 29 single frames the clearest false gap had 3.2, the widest of
 over 2 sigma 0.012 cell widths and 0.2 px (modules of benchmarks/gapped_modules.py, seeds 1000 to
 1039 but the mini-modules)."""
+LEAST_CELL_GAP, LEAST_CELL_GAP_PX = 0.02, 4.0
+"""Narrower gaps between all cells are taken for usual ones, which blur makes 2 to 4 px wide."""
 PROPOSALS_EACH, MOST_PROPOSALS = 4, 12
 """Layouts tried in one outline, and in all of one frame."""
 MOST_WIDE_GAPS = 6
@@ -134,7 +130,7 @@ def gaps_in_frame(
                     best = seen
             if best is not None and best.found.share >= SURE_SHARE:
                 break
-    return None if best is None else best.layout
+    return None if best is None else _with_gap_between_all(image, best).layout
 
 
 def _other_layout_fits(
@@ -183,7 +179,10 @@ def _refined(image: NDArray[np.float32], seen: _Seen) -> _Seen:
     """Measure the gaps until they do not change any more."""
     layout, found = seen.layout, seen.found
     if any(layout.cell_gap):
-        layout = replace(layout, cell_gap=_measured_cell_gap(image, layout, found.pose))
+        search = search_units(layout, found.pose)
+        measured = seen_cell_gap(image, layout, found.pose, search)
+        x, y = (new or old for new, old in zip(measured, layout.cell_gap, strict=True))
+        layout = replace(layout, cell_gap=(x, y))
         found = _again(image, layout, layout, found) or found
     for _ in range(ROUNDS):
         wider = _with_measured_gaps(image, layout, found.pose)
@@ -208,45 +207,23 @@ def _again(
     return None
 
 
-def _measured_cell_gap(
-    image: NDArray[np.float32], layout: ModuleLayout, pose: Pose
-) -> tuple[float, float]:
-    """Width and height of the gap between all cells, between the halves of its sides."""
-    edges = cell_edges(layout)
-    widths = _gap_widths(image, edges, pose, 2.0 * max(layout.cell_gap))
-    measured = []
-    for axis, before in enumerate(layout.cell_gap):
-        along = edges.inner & (edges.normal[:, axis] == 1) & np.isfinite(widths)
-        measured.append(float(np.median(widths[along])) if along.any() else before)
-    x, y = measured
-    return x, y
-
-
-def _gap_widths(image: NDArray[np.float32], edges: CellEdges, pose: Pose, widest: float) -> Array:
-    """Width of each gap between the places where the light is halfway down; NaN if unseen."""
-    scale = float(np.nanmedian(scales_px(edges, pose)))
-    half = int(np.ceil(0.75 * widest * scale / STEP_PX)) + 2
-    x: Array = STEP_PX * np.arange(-half, half + 1, dtype=np.float64)
-    samples, visible = edge_profiles(image, edges, pose, x / scale, ALONG)
-    profiles = np.median(samples, axis=1)
-    width = np.full(len(profiles), np.nan)
-    for k in np.flatnonzero(visible):
-        left, right = profiles[k, :half][::-1], profiles[k, half + 1 :]
-        floor = float(profiles[k, half - 1 : half + 2].mean())
-        reach = [_halfway(side, floor) for side in (left, right)]
-        width[k] = STEP_PX * (reach[0] + reach[1]) / scale
-    return width
-
-
-def _halfway(side: Array, floor: float) -> float:
-    """After how many samples from the middle of a gap its side has risen by half, else NaN."""
-    level = 0.5 * (floor + float(np.percentile(side, 90)))
-    above = np.flatnonzero(side >= level)
-    if not above.size or level <= 1.2 * floor:
-        return np.nan
-    k = int(above[0])
-    before = floor if k == 0 else float(side[k - 1])
-    return k + (level - before) / max(float(side[k]) - before, 1e-12)
+def _with_gap_between_all(image: NDArray[np.float32], seen: _Seen) -> _Seen:
+    """Return the module with a gap between all cells if that is what its lines are."""
+    layout, pose = seen.layout, seen.found.pose
+    gap = np.array(seen_cell_gap(image, layout, pose, search_units(layout, pose)))
+    least = max(LEAST_CELL_GAP, LEAST_CELL_GAP_PX / pose.scale_px(layout.size))
+    x, y = np.where(gap >= least, gap, 0.0).tolist()
+    if any(layout.cell_gap) or not (x or y):
+        return seen
+    with suppress(OutlineError, InspectionError):
+        apart = _refined(image, _Seen(replace(layout, cell_gap=(x, y)), seen.found))
+        if apart.found.share >= seen.found.share - SHARE_NOISE:
+            clear, before = (
+                apart_significance(image, one.layout, one.found.pose, search_units(layout, pose))
+                for one in (apart, seen)
+            )
+            return apart if clear > before else seen
+    return seen
 
 
 def _with_measured_gaps(
