@@ -24,7 +24,6 @@ __all__ = [
     "fit_steps",
     "gap_basis",
     "missing_light",
-    "typical_significance",
 ]
 
 Array = NDArray[np.float64]
@@ -148,19 +147,9 @@ def _search(
 
 def best_shape(profiles: Array, x: Array, search: float, wider: float = 0.0) -> GapShape:
     """Return the shape that most profiles fit, for gaps that are wider by so many pixels."""
-    return _best_shape(profiles, x, search, wider)[0]
-
-
-def typical_significance(profiles: Array, x: Array, search: float, wider: float = 0.0) -> float:
-    """How significant the gaps typically are if they are wider by so many pixels."""
-    return _best_shape(profiles, x, search, wider)[1]
-
-
-def _best_shape(profiles: Array, x: Array, search: float, wider: float) -> tuple[GapShape, float]:
     shapes = [shape.widened(wider) for shape in GAP_SHAPES]
     scores = [float(np.median(_search(profiles, x, search, s)[3].max(axis=1))) for s in shapes]
-    best = int(np.argmax(scores))
-    return shapes[best], scores[best]
+    return shapes[int(np.argmax(scores))]
 
 
 def fit_gaps(

@@ -20,7 +20,7 @@ from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.detection.edges import CellEdges, cell_edges, measure_edges
 from pv_inspect.detection.gap_proposals import proposed_layouts
-from pv_inspect.detection.gaps_between_all import apart_significance, seen_cell_gap
+from pv_inspect.detection.gaps_between_all import cell_gap_if_wide, seen_cell_gap
 from pv_inspect.detection.large_frames import ReducedFrames, reduction
 from pv_inspect.detection.outline import Outline, OutlineError, fit_pose
 from pv_inspect.detection.seen_layout import SURE_SHARE, fits_given, seen_layout
@@ -54,8 +54,6 @@ NARROW_GAP, NARROW_SIGMA = 0.02, 6.0
 """Narrower ones must be clearer. Of 29 single frames the clearest false gap had 3.2, the widest of
 over 2 sigma 0.012 cell widths and 0.2 px (modules of benchmarks/gapped_modules.py, seeds 1000 to
 1039 but the mini-modules)."""
-LEAST_CELL_GAP, LEAST_CELL_GAP_PX = 0.02, 4.0
-"""Narrower gaps between all cells are taken for usual ones, which blur makes 2 to 4 px wide."""
 PROPOSALS_EACH, MOST_PROPOSALS = 4, 12
 """Layouts tried in one outline, and in all of one frame."""
 MOST_WIDE_GAPS = 6
@@ -208,21 +206,17 @@ def _again(
 
 
 def _with_gap_between_all(image: NDArray[np.float32], seen: _Seen) -> _Seen:
-    """Return the module with a gap between all cells if that is what its lines are."""
+    """Return the module with a gap between all cells if its lines are clearly so wide."""
     layout, pose = seen.layout, seen.found.pose
-    gap = np.array(seen_cell_gap(image, layout, pose, search_units(layout, pose)))
-    least = max(LEAST_CELL_GAP, LEAST_CELL_GAP_PX / pose.scale_px(layout.size))
-    x, y = np.where(gap >= least, gap, 0.0).tolist()
-    if any(layout.cell_gap) or not (x or y):
+    if any(layout.cell_gap):
+        return seen
+    gap = cell_gap_if_wide(image, layout, pose, search_units(layout, pose))
+    if not any(gap):
         return seen
     with suppress(OutlineError, InspectionError):
-        apart = _refined(image, _Seen(replace(layout, cell_gap=(x, y)), seen.found))
+        apart = _refined(image, _Seen(replace(layout, cell_gap=gap), seen.found))
         if apart.found.share >= seen.found.share - SHARE_NOISE:
-            clear, before = (
-                apart_significance(image, one.layout, one.found.pose, search_units(layout, pose))
-                for one in (apart, seen)
-            )
-            return apart if clear > before else seen
+            return apart
     return seen
 
 

@@ -61,17 +61,6 @@ def test_a_gap_told_a_little_wrong_does_not_move_the_grid(told: float) -> None:
     assert min(np.abs(points[turn] - true).max() for turn in turns) < 0.5
 
 
-def test_cells_apart_whose_lines_seem_to_fit_are_seen_to_lie_apart() -> None:
-    # An even grid has its lines somewhere in these gaps of 5 px.
-    settings = _settings(
-        rows=3, cols=6, cell_gap=0.09, tilt_deg=21.0, tilt_axis_deg=262.0, roll_deg=-15.0,
-        dark_cell_share=0.0,
-    )  # fmt: skip
-    found = gaps_in_frame(_frame(settings), settings.layout.plain)
-    assert found is not None
-    assert found.cell_gap == pytest.approx((0.09, 0.09), abs=0.01)
-
-
 @pytest.mark.parametrize(
     "values", [HALF_CUT, {"rows": 4, "cols": 6}, {"rows": 5, "cols": 8, "seed": 5}, MINI]
 )
