@@ -1,6 +1,6 @@
 """Whatever is in a file or on the command line: accepted, or refused in one sentence.
 
-A thousand of the cases of `make fuzz`, the same ones each time. Every reader runs in a process of
+Two hundred of the cases of `make fuzz`, the same ones each time. Every reader runs in a process of
 its own, so that a crash or a hang fails one test.
 """
 
@@ -19,7 +19,7 @@ from tests.fuzz.pool import Reader
 from tests.fuzz.readers import MISBEHAVIOUR
 from tests.fuzz.tally import SEED, shares_of, tried
 
-N_CASES = 1000
+N_CASES = 200
 
 
 @pytest.fixture(scope="module")
