@@ -6,6 +6,8 @@ DOCS_INSTALLED := .venv/.installed_docs
 PYTEST := $(PYTHON) -m pytest
 # The core is tested without Qt and napari: their pytest plugins would load them.
 WITHOUT_GUI := -p no:pytest-qt -p no:napari -p no:npe2 -p no:napari-plugin-engine
+# A module goes to one worker as a whole: what its tests share is made once.
+WORKERS := -n 2 --dist loadfile
 
 # The tests start many processes: each would compile all modules anew where this is set.
 export PYTHONDONTWRITEBYTECODE :=
@@ -52,15 +54,15 @@ format: $(INSTALLED) ## format all files and mend what ruff can
 	$(PYTHON) -m ruff format .
 
 test-core: $(INSTALLED) ## tests of the core; no Qt
-	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin -n 2 --durations=10
+	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin $(WORKERS) --durations=10
 
 test-plugin: $(INSTALLED) ## tests of the workbench without a window
-	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin -n 2 --durations=5
+	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin $(WORKERS) --durations=5
 
 # Not a part of `test`: before Python 3.12 tracing costs 40 to 60 % more processor time.
 coverage: $(INSTALLED) ## the tests without a window again, and which lines of core and workbench they run
-	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin -n 2 $(COVERAGE)
-	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin -n 2 $(COVERAGE) --cov-append
+	$(PYTEST) $(WITHOUT_GUI) --ignore=tests/plugin $(WORKERS) $(COVERAGE)
+	QT_QPA_PLATFORM=offscreen $(PYTEST) tests/plugin $(WORKERS) $(COVERAGE) --cov-append
 	$(PYTHON) -m coverage report --skip-covered
 
 test-window: $(INSTALLED) ## tests of the workbench in a real window, each worker on a virtual screen

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from hypothesis import settings as hypothesis_settings
 
 from pv_inspect.simulate import (
     SimulatedSequence,
@@ -12,8 +13,13 @@ from pv_inspect.simulate import (
     simulated,
     write_sequence,
 )
+from tests.once import made_once
 
 ROOT = Path(__file__).resolve().parents[1]
+
+# How long an example takes says how busy the machine is.
+hypothesis_settings.register_profile("any machine", deadline=None)
+hypothesis_settings.load_profile("any machine")
 
 
 @pytest.fixture(scope="session")
@@ -41,10 +47,14 @@ def small_sequence(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedS
         supersampling=4,
         jitter_px=2.0,
     )
-    simulation = simulated(settings)
-    folder = tmp_path_factory.mktemp("sequences") / "small"
-    write_sequence(simulation, folder)
-    return simulation, folder
+
+    def made() -> tuple[SimulatedSequence, Path]:
+        simulation = simulated(settings)
+        folder = tmp_path_factory.mktemp("sequences") / "small"
+        write_sequence(simulation, folder)
+        return simulation, folder
+
+    return made_once(tmp_path_factory, "small_sequence", made)
 
 
 @pytest.fixture(scope="session")
@@ -66,6 +76,10 @@ def quick_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         supersampling=3,
         jitter_px=2.0,
     )
-    folder = tmp_path_factory.mktemp("sequences") / "quick"
-    write_sequence(simulated(settings), folder)
-    return folder
+
+    def made() -> Path:
+        folder = tmp_path_factory.mktemp("sequences") / "quick"
+        write_sequence(simulated(settings), folder)
+        return folder
+
+    return made_once(tmp_path_factory, "quick_folder", made)
