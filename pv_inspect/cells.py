@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.reconstruction.cell_sight import CellSight
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 
 __all__ = ["CellTiles", "cut_cells"]
@@ -25,11 +26,20 @@ class CellTiles:
         Where the tiles lie: ``grid.cell_slices(row, col)``.
     support : (rows, cols, h, w) float32, optional
         Tiles of the support map, as far as there is one.
+    sight : CellSight, optional
+        How well every cell was seen, as far as it is known.
     """
 
     images: NDArray[np.float32]
     grid: HrGrid
     support: NDArray[np.float32] | None = None
+    sight: CellSight | None = None
+
+    def seen(self, row: int, col: int) -> tuple[float, float]:
+        """Detail and blur of a cell (`CellSight`); NaN if they are not known."""
+        if self.sight is None:
+            return float("nan"), float("nan")
+        return float(self.sight.detail[row, col]), float(self.sight.blur[row, col])
 
     def assemble(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
         """Put maps of all cells back into place on the HR grid; the margin is 0.
@@ -69,4 +79,4 @@ def cut_cells(reconstruction: Reconstruction) -> CellTiles:
         tiles = [[whole[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)]
         return np.array(tiles, dtype=np.float32)
 
-    return CellTiles(cut(image), grid, cut(reconstruction.support))
+    return CellTiles(cut(image), grid, cut(reconstruction.support), reconstruction.sight)

@@ -19,11 +19,10 @@ from pv_inspect.cracks.completion import completed
 from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
 from pv_inspect.cracks.features import (
     CellFeatures,
-    OperatingPoint,
-    crack_marks,
     measure_cell,
 )
 from pv_inspect.cracks.isolation import busbars_from_image, busbars_from_map
+from pv_inspect.cracks.marks import OperatingPoint, crack_marks
 from pv_inspect.cracks.network import NetworkDetector
 from pv_inspect.cracks.ridge import RidgeDetector
 from pv_inspect.cracks.wording import CLASS_RULE
@@ -216,6 +215,7 @@ def read_cracks(
             novelty=float(novelty[row, col]),
             support=None if tiles.support is None else tiles.support[row, col],
             blocks=blocks[row, col],
+            seen=tiles.seen(row, col),
         )
         for row, col in np.ndindex(rows, cols)
     )

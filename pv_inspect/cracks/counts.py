@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from pv_inspect.cracks.features import CellFeatures
+from pv_inspect.cracks.seen import MOST_BLUR
 
 __all__ = ["CellCounts", "CellState", "look_at_first", "state_of"]
 
@@ -29,9 +30,9 @@ class CellState(StrEnum):
 _MEANING = {
     CellState.SUSPECTED: "At least one mark that a crack could have made.",
     CellState.UNDECIDABLE: (
-        "It is left open whether there are cracks, or how bad they are: that hangs on details "
-        "that the frames do not determine, all marks are too short or too faint, or the cell looks "
-        "unlike all that the detector has learnt."
+        "It is left open whether there are cracks, or how bad they are: cracks would not show in "
+        "these frames, all marks are too short or too faint, or the cell looks unlike all that the "
+        "detector has learnt."
     ),
     CellState.DARK: "Dark as a whole: its cracks are not judged.",
     CellState.CLEAN: "No mark that a crack could have made, and the frames would have shown one.",
@@ -66,6 +67,8 @@ class CellCounts:
         Those of ``undecidable`` that look unlike all that the detector has learnt.
     weak : int
         Those of the others of ``undecidable`` whose marks are all too short or too faint.
+    blurred : int
+        Those of ``undecidable`` in which the image is too blurred for cracks to show.
     """
 
     suspected: int
@@ -74,6 +77,7 @@ class CellCounts:
     dark: int
     unfamiliar: int = 0
     weak: int = 0
+    blurred: int = 0
 
     @classmethod
     def of(cls, cells: Iterable[CellFeatures]) -> CellCounts:
@@ -89,6 +93,7 @@ class CellCounts:
             found[CellState.DARK],
             unfamiliar,
             sum(cell.weak_marks and not cell.unfamiliar for cell in open_cells),
+            sum(cell.edge_blur > MOST_BLUR for cell in open_cells),
         )
 
     def __getitem__(self, state: CellState) -> int:
@@ -132,7 +137,7 @@ class CellCounts:
         reasons = {
             "unlike all that the detector has learnt": self.unfamiliar,
             "with marks too short or too faint for a crack": self.weak,
-            "not supported by the frames": self.undecidable - self.unfamiliar - self.weak,
+            "in which cracks would not show": self.undecidable - self.unfamiliar - self.weak,
         }
         return f" ({', '.join(f'{n} {why}' for why, n in reasons.items() if n)})"
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,8 @@ from pv_inspect.cracks.areas import (
 from pv_inspect.cracks.blocks import LEAST_BLOCK, cut_off_blocks
 from pv_inspect.cracks.centreline import branches, length_of
 from pv_inspect.cracks.isolation import Busbars
+from pv_inspect.cracks.marks import OperatingPoint, crack_marks
+from pv_inspect.cracks.seen import sight_known, would_show
 
 __all__ = [
     "FEATURES",
@@ -32,11 +33,6 @@ __all__ = [
     "texts",
 ]
 
-# A crack is long and slender, a cluster of dark grains is neither. Longer side of a mark's
-# smallest rectangle over the other one; a large mark (cell widths) may be a crack that branches
-# and need not be slender.
-MIN_SLENDERNESS = 2.0
-_LARGE_EXTENT_CELLS = 0.25
 # A cell that is dark in at least this share has no current through it: what looks like a crack in
 # it is noise, or can't be told from noise.
 _DARK_CELL_SHARE = 0.5
@@ -48,29 +44,6 @@ _UNSUPPORTED_SHARE = 0.5
 # be cut off relative to the rest of the cell.
 _LEAST_ISOLATED = 0.01
 _CONNECTED, _DISCONNECTED = 0.8, 0.4
-
-
-@dataclass(frozen=True)
-class OperatingPoint:
-    """From when on a detector's answer counts as a crack.
-
-    Parameters
-    ----------
-    threshold : float
-        Least probability of a pixel.
-    least_extent_cells : float
-        Least length of a mark, cell widths.
-    least_length_cells : float
-        Least length of the longest mark along its centre line, cell widths, from which on a cell
-        gets a class. A cell whose marks are all shorter can't be judged.
-    least_score : float
-        Least `CellFeatures.crack_score` from which on a cell gets a class.
-    """
-
-    threshold: float = 0.5
-    least_extent_cells: float = 0.15
-    least_length_cells: float = 0.0
-    least_score: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -123,6 +96,12 @@ class CellFeatures:
     cut_off_share : float
         Share of the cell that is dark and ends at a sharp, straight edge: cut off, or broken off
         (`cut_off_blocks`). 0 where there are no marks; NaN in a table of an older version.
+    crack_detail : float
+        Share of a detail as fine as cracks that comes from the frames (`CellSight.detail`); NaN if
+        it is not known: then ``unsupported_share`` says what the frames did not earn.
+    edge_blur : float
+        Blur of the image at the edges of the cell, standard deviation in cell widths; NaN if it is
+        not known.
     """
 
     row: int
@@ -143,6 +122,8 @@ class CellFeatures:
     weak_marks: bool = False
     novelty: float = float("nan")
     cut_off_share: float = float("nan")
+    crack_detail: float = float("nan")
+    edge_blur: float = float("nan")
 
     @property
     def has_marks(self) -> bool:
@@ -171,10 +152,13 @@ class CellFeatures:
 
     @property
     def supported(self) -> bool:
-        """Whether less than half of the cracks (of a cell without: of its area) is unsupported.
+        """Whether cracks would show in the cell (`seen.would_show`).
 
-        True if no support map is known.
+        Where that is not known: whether less than half of the cracks (of a cell without: of its
+        area) is unsupported; true if no support map is known either.
         """
+        if sight_known(self.crack_detail):
+            return would_show(self.crack_detail, self.edge_blur)
         return not self.unsupported_share >= _UNSUPPORTED_SHARE
 
     @property
@@ -241,48 +225,6 @@ def from_texts(row: int, col: int, line: Mapping[str, str]) -> CellFeatures:
     return CellFeatures(row=row, col=col, **values)  # type: ignore[arg-type]
 
 
-def crack_marks(
-    probability: NDArray[np.float32],
-    threshold: float,
-    cell_width_px: float,
-    least_extent_cells: float = OperatingPoint.least_extent_cells,
-) -> list[NDArray[np.bool_]]:
-    """Find the marks of a cell that a crack could have made.
-
-    Parameters
-    ----------
-    probability : (h, w) float32
-        Crack probability of the pixels of one cell.
-    threshold : float
-        Pixels with at least this probability belong to marks.
-    cell_width_px : float
-        Pixels per cell width.
-    least_extent_cells : float
-        Cell widths.
-
-    Returns
-    -------
-    list of (h, w) bool
-        8-connected; the smallest rectangle around each is at least ``least_extent_cells`` long,
-        and twice as long as wide unless it is longer than 0.25 cell widths.
-    """
-    mask = (probability >= max(threshold, 1e-6)).astype(np.uint8)
-    n_labels, labels, boxes, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    marks = []
-    for k in range(1, n_labels):
-        x, y, width, height, _ = boxes[k]
-        if np.hypot(width, height) < least_extent_cells * cell_width_px:
-            continue
-        pixels = np.argwhere(labels[y : y + height, x : x + width] == k).astype(np.float32)
-        # The rectangle goes through the centres of pixels, which reach half a pixel further.
-        short, long = sorted(side + 1 for side in cv2.minAreaRect(pixels)[1])
-        extent = long / cell_width_px
-        slender = long >= MIN_SLENDERNESS * short or extent >= _LARGE_EXTENT_CELLS
-        if extent >= least_extent_cells and slender:
-            marks.append(labels == k)
-    return marks
-
-
 def measure_cell(
     tile: NDArray[np.float32],
     probability: NDArray[np.float32],
@@ -301,6 +243,7 @@ def measure_cell(
     least_score: float = OperatingPoint.least_score,
     novelty: float = math.nan,
     blocks: NDArray[np.bool_] | None = None,
+    seen: tuple[float, float] = (math.nan, math.nan),
 ) -> CellFeatures:
     """Measure the cracks of one cell.
 
@@ -331,6 +274,8 @@ def measure_cell(
         See `CellFeatures`.
     blocks : (h, w) bool, optional
         Of `cut_off_blocks`, looked for if not given.
+    seen : (float, float)
+        How well the cell was seen, `CellFeatures.crack_detail` and ``edge_blur``.
 
     Returns
     -------
@@ -351,11 +296,14 @@ def measure_cell(
     block_share = float(blocks.mean()) if marks and blocks is not None else 0.0
     unsupported, unsure = float("nan"), False
     if support is not None:
-        shares = [unsupported_share(chains, support) for chains in lines]
         unsupported = unsupported_share([chain for chains in lines for chain in chains], support)
+    if sight_known(seen[0]):  # a broad dark area is seen in any frame
+        unsure = readable and block_share < LEAST_BLOCK and not would_show(*seen)
+    elif support is not None:
+        shares = [unsupported_share(chains, support) for chains in lines]
         if readable and not marks:
             unsure = unsupported >= _UNSUPPORTED_SHARE
-        elif marks and block_share < LEAST_BLOCK:  # a broad dark area is seen in any frame
+        elif marks and block_share < LEAST_BLOCK:
             firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNSUPPORTED_SHARE]
             without = _class_of(len(firm), *isolated(tile, firm, busbars))
             unsure = without != _class_of(len(marks), cut_off, brightness)
@@ -383,4 +331,6 @@ def measure_cell(
         weak_marks=bool(marks) and not by_hand and weak and block_share < LEAST_BLOCK,
         novelty=novelty,
         cut_off_share=block_share,
+        crack_detail=seen[0],
+        edge_blur=seen[1],
     )

@@ -6,6 +6,7 @@ import math
 
 from pv_inspect.cracks.counts import CellState
 from pv_inspect.cracks.features import UNSUPPORTED, CellFeatures
+from pv_inspect.cracks.seen import LEAST_DETAIL, MOST_BLUR, sight_known, why_unseen
 
 __all__ = [
     "CLASS_RULE",
@@ -16,6 +17,7 @@ __all__ = [
     "length_text",
     "tooltip",
     "undecidable_because",
+    "unseen_because",
 ]
 
 # What the class with the id "unsure" is called: "unsure" is a verdict that an expert gives.
@@ -34,10 +36,10 @@ C                it is less than 0.4 times as bright as the rest: cut off; or a 
 unknown          cracks, but no busbars were found
 {_UNDECIDABLE}  the marks are too short or too faint for a class, or the cell looks unlike all
                  that the detector has learnt, or
-                 the frames did not earn the answer: without the cracks of which at least half lies
-                 on pixels with a support under {UNSUPPORTED:g} the class would be another one, or
-                 there is no crack and at least half of the cell has such pixels ("unsure" in
-                 cells.csv, verdicts.csv and result.json)
+                 cracks would not show: less than {LEAST_DETAIL:g} of a detail as fine as they are
+                 (14 to 28 periods per cell width, in four fifths of the cell) comes from the
+                 frames, or the image is blurred by more than {MOST_BLUR:g} cell widths ("unsure"
+                 in cells.csv, verdicts.csv and result.json)
 """
 
 # By the id of the class, in the order of how much they matter to an expert, the worst first.
@@ -51,10 +53,14 @@ CLASS_WORDS = {
     "none": "no cracks",
 }
 SUPPORT_RULE = (
-    "Not supported by the frames: at least half of the crack length, or of the area of a cell "
-    f"without cracks, lies on pixels with a support under {UNSUPPORTED:g}; frames reach that much "
-    "even if all stand in one place."
+    f"Cracks would not show: less than {LEAST_DETAIL:.0%} of a detail of 14 to 28 periods per cell "
+    "width comes from the frames, because of noise, coarse pixels or overexposure, or the image is "
+    f"blurred over more than {MOST_BLUR:.2%} of the cell's width (standard deviation, measured at "
+    "the edges of the cells). Results of earlier versions count by the support map instead: at "
+    "least half of the crack length, or of the area of a cell without cracks, lies on pixels with "
+    f"a support under {UNSUPPORTED:g}."
 )
+"""What the mark of cells that are not `CellFeatures.supported` means."""
 
 
 def length_text(cell: CellFeatures) -> str:
@@ -70,6 +76,13 @@ def undecidable_because(cell: CellFeatures) -> str:
         return "looks unlike all that the detector has learnt"
     if cell.weak_marks:
         return "marks too short or too faint for a crack"
+    return unseen_because(cell)
+
+
+def unseen_because(cell: CellFeatures) -> str:
+    """Return why cracks would not show in a cell, or that they are not supported by the frames."""
+    if sight_known(cell.crack_detail):
+        return why_unseen(cell.crack_detail, cell.edge_blur)
     return "not supported by the frames"
 
 
@@ -126,7 +139,11 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
     ]
     if not math.isnan(cell.novelty):
         pairs.append(("novelty of its look", f"{cell.novelty:.2f}, from 1 on it can't be judged"))
-    if not math.isnan(cell.unsupported_share):
+    if sight_known(cell.crack_detail):
+        show = why_unseen(cell.crack_detail, cell.edge_blur) or "cracks would show"
+        blur = "unknown" if math.isnan(cell.edge_blur) else f"{cell.edge_blur:.2%} of its width"
+        pairs.append(("seen", f"{cell.crack_detail:.0%} of fine detail, blur {blur}: {show}"))
+    elif not math.isnan(cell.unsupported_share):
         where = "crack length" if cell.has_marks else "cell"
         supported = "yes" if cell.supported else "no"
         share = f"{cell.unsupported_share:.0%} of the {where} is unsupported"

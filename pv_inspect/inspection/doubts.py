@@ -263,8 +263,13 @@ def _blindness(inspection: Inspection) -> str:
         return ""
     if counts.unfamiliar > counts.total // 2:
         todo = "look at the cells yourself, or try the detector 'ridge'"
+    elif counts.blurred > counts.total // 2:
+        todo = "the image is too blurred for cracks to show, take it in focus and from closer up"
     elif counts.undecidable:
-        todo = "take sharper or more frames with small movements between them"
+        todo = (
+            "take frames with more pixels per cell, less noise and no overexposure, or more of "
+            "them with small movements between them"
+        )
     else:
         todo = "check that current flows through the module"
     unjudged = counts.unjudged_text

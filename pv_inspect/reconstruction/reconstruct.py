@@ -15,6 +15,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.memory import release, require_memory
 from pv_inspect.observation.motion_blur import length_and_angle
+from pv_inspect.observation.stencil import Quadratic
 from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
@@ -22,6 +23,7 @@ from pv_inspect.photometry.photometry import (
     observed,
 )
 from pv_inspect.reconstruction.accumulation import Accumulation
+from pv_inspect.reconstruction.cell_sight import sight_of
 from pv_inspect.reconstruction.held_out import View, cut_view
 from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.motion_estimation import estimate_motion
@@ -176,11 +178,19 @@ def solve(
     solution = yield from forwarded(solver, solving)
     image = data.extremes.limit(np.asarray(solution.image, np.float32))
     faint = np.float32(FAINT * problem.brightness)
+
+    def prior_with(detail: Image) -> Quadratic:
+        return problem.majoriser(image + faint * detail)
+
     support = yield from forwarded(
-        support_of(equations, lambda detail: problem.majoriser(image + faint * detail)),
-        lambda share: Progress(0.9 + 0.05 * share, "measuring the support by the frames", image),
+        support_of(equations, prior_with),
+        lambda share: Progress(0.9 + 0.03 * share, "measuring the support by the frames", image),
     )
     support *= np.float32(of_more_than_one(sampling_of(data.registration, data.sequence.shape)))
+    sight = yield from forwarded(
+        sight_of(equations, prior_with, image),
+        lambda share: Progress(0.93 + 0.02 * share, "measuring how cracks would show", image),
+    )
     consistency, residual_rms = yield from forwarded(
         data.compare(image),
         lambda share: Progress(0.95 + 0.05 * share, "comparing the frames with the result", image),
@@ -199,6 +209,7 @@ def solve(
         solution.iterations,
         photometry=data.photometry,
         prior=settings.prior,
+        sight=sight,
     )
 
 

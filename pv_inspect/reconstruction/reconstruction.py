@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.photometry.photometry import Photometry
+from pv_inspect.reconstruction.cell_sight import CellSight
 from pv_inspect.reconstruction.prior import PriorName
 
 __all__ = ["NO_CURVE", "Curve", "Reconstruction", "brightness_of"]
@@ -62,6 +63,8 @@ class Reconstruction:
         The sensor's part in the intensities, if it was looked for.
     prior : {"sparse_curvature", "btv", "tikhonov"}
         What ``prior_weight`` is the weight of.
+    sight : CellSight, optional
+        How well every cell was seen; not in results of earlier versions.
     """
 
     image: Image
@@ -78,6 +81,7 @@ class Reconstruction:
     lambda_curve: Curve = ()
     photometry: Photometry | None = None
     prior: PriorName = "sparse_curvature"
+    sight: CellSight | None = None
 
 
 def brightness_of(image: Image, grid: HrGrid) -> float:

@@ -10,6 +10,7 @@ structure: L is that of the image with as much of the pattern in it as arrives.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,17 +20,33 @@ from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic, dot
 from pv_inspect.reconstruction.preconditioner import Spectral
 
-__all__ = ["FAINT", "probe", "support_of"]
+__all__ = ["FAINT", "FINEST", "Detail", "probe", "support_of"]
 
 Image = NDArray[np.float32]
 
 FAINT = 0.1
 """Standard deviation of the detail that support is about, in parts of the module's brightness."""
 
-# The band of the probe, cycles per LR pixel: just beyond what one frame resolves.
-_BAND = (0.55, 0.8)
-# Radius over which the answer is averaged, LR pixels.
-_WINDOW_LR_PX = 1.5
+
+@dataclass(frozen=True)
+class Detail:
+    """What is asked for.
+
+    Parameters
+    ----------
+    band : (float, float)
+        Of spatial frequencies, cycles per LR pixel.
+    window_lr_px : float
+        Radius over which the answer is averaged, LR pixels.
+    """
+
+    band: tuple[float, float]
+    window_lr_px: float
+
+
+FINEST = Detail((0.55, 0.8), 1.5)
+"""Just beyond what one frame resolves."""
+
 _ITERATIONS = 40
 # A round ends when the mean support changes by less than this in a step.
 _CHANGE = 1e-3
@@ -38,22 +55,26 @@ _TILE = 512
 _SEED = 7
 
 
-def probe(shape: tuple[int, int], magnification: float) -> Image:
-    """Noise with details just finer than the LR pixels: 0.55 to 0.8 cycles per LR pixel.
+def probe(
+    shape: tuple[int, int], magnification: float, band: tuple[float, float] = FINEST.band
+) -> Image:
+    """Noise with details of some frequencies, just finer than the LR pixels if not given.
 
     Parameters
     ----------
     shape : (height, width)
     magnification : float
         HR pixels per LR pixel. If the grid can't carry the band, it ends at the grid's limit.
+    band : (float, float)
+        Cycles per LR pixel.
 
     Returns
     -------
     (height, width) float32
         Mean 0, standard deviation 1; the same for the same arguments.
     """
-    high = min(_BAND[1], 0.5 * magnification)
-    low = _BAND[0] / _BAND[1] * high
+    high = min(band[1], 0.5 * magnification)
+    low = band[0] / band[1] * high
     fy, fx = np.fft.fftfreq(_TILE)[:, None], np.fft.rfftfreq(_TILE)[None]
     frequency = magnification * np.hypot(fy, fx)
     noise = np.fft.rfft2(np.random.default_rng(_SEED).standard_normal((_TILE, _TILE)))
@@ -66,9 +87,11 @@ def probe(shape: tuple[int, int], magnification: float) -> Image:
 
 
 def support_of(
-    equations: NormalEquations, prior_with: Callable[[Image], Quadratic]
+    equations: NormalEquations,
+    prior_with: Callable[[Image], Quadratic],
+    detail: Detail = FINEST,
 ) -> Generator[float, None, Image]:
-    """Share of a detail just finer than the LR pixels that comes from the frames.
+    """Share of a detail that comes from the frames.
 
     Parameters
     ----------
@@ -78,6 +101,8 @@ def support_of(
         Majoriser of the prior, on the scale of the equations, at the minimiser with a detail in it,
         (height, width) float32 in units of the probe's standard deviation. How faint the probe is
         is decided there: `FAINT` of the brightness of the module.
+    detail : Detail
+        Just finer than the LR pixels if not given.
 
     Yields
     ------
@@ -101,7 +126,7 @@ def support_of(
     """
     shape = equations.model.grid.shape
     magnification = equations.model.grid.magnification
-    z = probe(shape, magnification)
+    z = probe(shape, magnification, detail.band)
 
     diagonal = equations.diagonal
     # Nothing arrives where no frame looks: the first round begins with nothing.
@@ -109,7 +134,7 @@ def support_of(
     for done in range(_ROUNDS):
         yield done / _ROUNDS
         u = _answer(equations, prior_with(u if done else z), diagonal, z, u)
-    sigma = _WINDOW_LR_PX * magnification
+    sigma = detail.window_lr_px * magnification
     answer = cv2.GaussianBlur(u * z, (0, 0), sigma)
     power = cv2.GaussianBlur(z * z, (0, 0), sigma)
     share = np.clip(answer / np.maximum(power, 1e-6), 0.0, 1.0)

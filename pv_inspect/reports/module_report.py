@@ -14,7 +14,14 @@ from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.gap_text import gap_text
 from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CLASS_RULE, CellFeatures, CellState, CrackMap, look_at_first, state_of
-from pv_inspect.cracks.wording import CLASS_WORDS, SUPPORT_RULE, class_text, length_text, tooltip
+from pv_inspect.cracks.wording import (
+    CLASS_WORDS,
+    SUPPORT_RULE,
+    class_text,
+    length_text,
+    tooltip,
+    unseen_because,
+)
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.inspection.figures import median_text
@@ -135,6 +142,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
         "class_order": {name: k for k, name in enumerate(reversed(CLASS_WORDS))},
         "class_rule": CLASS_RULE,
         "support_rule": SUPPORT_RULE,
+        "unseen_because": unseen_because,
         "date": date.today().isoformat(),
         "cells": worst,
         "close_ups": close_ups,

@@ -22,6 +22,7 @@ from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.stored import stored_floats, stored_shape
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.inspection.stored import StoredResult
+from pv_inspect.reconstruction.cell_sight import CellSight
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.results.folder import RESULT_JSON
@@ -83,6 +84,9 @@ def _read_result(folder: Path) -> Inspection:
     )
     with _damaged(path):
         _check_place(grid)
+    probability = _read_image(folder / "cracks.tif", grid.shape)
+    with _damaged(folder / "cells.csv"):
+        cells = _cells_from(read_text(folder / "cells.csv"), layout)
     reconstruction = Reconstruction(
         _read_image(folder / "module_hr.tif", grid.shape),
         _read_image(folder / "support.tif", grid.shape, gaps=True),
@@ -97,10 +101,8 @@ def _read_result(folder: Path) -> Inspection:
         record.solver.iterations,
         tuple((_known(weight), _known(error)) for weight, error in record.lambda_curve),
         prior=settings.prior,
+        sight=_sight(cells, layout),
     )
-    probability = _read_image(folder / "cracks.tif", grid.shape)
-    with _damaged(folder / "cells.csv"):
-        cells = _cells_from(read_text(folder / "cells.csv"), layout)
     other = record.runner_up
     return Inspection(
         None,
@@ -220,6 +222,13 @@ def _cells_from(text: str, layout: ModuleLayout) -> tuple[CellFeatures, ...]:
             if not abs(getattr(cell, name)) < 1e9:
                 raise ValueError(f"row {cell.row + 1}, column {cell.col + 1}: {name} is no number")
     return cells
+
+
+def _sight(cells: tuple[CellFeatures, ...], layout: ModuleLayout) -> CellSight | None:
+    """How well the cells were seen; None if an earlier version did not say."""
+    seen = np.array([(cell.crack_detail, cell.edge_blur) for cell in cells], np.float32)
+    detail, blur = seen.reshape(layout.rows, layout.cols, 2).transpose(2, 0, 1)
+    return None if np.isnan(detail).all() else CellSight(detail, blur)
 
 
 @contextmanager

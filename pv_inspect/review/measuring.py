@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -110,6 +111,7 @@ def measured(
     row: int,
     col: int,
     support: Image | None = None,
+    seen: tuple[float, float] = (math.nan, math.nan),
 ) -> CellFeatures:
     """Measure a cell with the marks that a person has drawn.
 
@@ -125,6 +127,8 @@ def measured(
         Position of the cell in the module.
     support : (h, w) float32, optional
         Support map of the cell.
+    seen : (float, float)
+        How well the cell was seen, see `measure_cell`.
 
     Returns
     -------
@@ -153,5 +157,6 @@ def measured(
         busbars=measure.busbars,
         cell_width_mm=measure.cell_width_mm,
         support=support,
+        seen=seen,
         marks=[labels == k for k in range(1, n_labels)],
     )

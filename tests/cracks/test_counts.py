@@ -88,6 +88,6 @@ def test_why_cells_cant_be_judged_is_told() -> None:
     assert (counts.suspected, counts.unfamiliar, counts.weak) == (0, 2, 1)
     assert counts.text == (
         "4 of 5 cells can't be judged (2 unlike all that the detector has learnt, "
-        "1 with marks too short or too faint for a crack, 1 not supported by the frames); "
+        "1 with marks too short or too faint for a crack, 1 in which cracks would not show); "
         "cracks suspected in 0, 1 clean"
     )

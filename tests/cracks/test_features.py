@@ -18,6 +18,7 @@ from pv_inspect.cracks.features import (
     texts,
 )
 from pv_inspect.cracks.isolation import Busbars
+from pv_inspect.cracks.seen import LEAST_DETAIL, MOST_BLUR
 
 SIDE = 200
 
@@ -197,7 +198,11 @@ def test_features_survive_a_table_and_old_tables_can_be_read() -> None:
 
 
 def supported(
-    mask: np.ndarray, support: np.ndarray, beyond: float = 0.2, blocks: np.ndarray | None = None
+    mask: np.ndarray,
+    support: np.ndarray,
+    beyond: float = 0.2,
+    blocks: np.ndarray | None = None,
+    seen: tuple[float, float] = (np.nan, np.nan),
 ) -> CellFeatures:
     """A cell with a busbar at row 100 whose part above row 30 is dark, and a support map."""
     tile = np.full(mask.shape, 0.5, np.float32)
@@ -214,6 +219,7 @@ def supported(
         support=support.astype(np.float32),
         # The classes that hang on the marks alone.
         blocks=np.zeros(mask.shape, bool) if blocks is None else blocks,
+        seen=seen,
     )
 
 
@@ -357,3 +363,31 @@ def test_a_cell_of_an_unknown_look_cant_be_judged_with_or_without_marks() -> Non
     for mask in (np.zeros((SIDE, SIDE), bool), drawn(((20, 20), (120, 20)))):
         assert weighed(mask, novelty=1.2).crack_class == "unsure"
         assert weighed(mask, novelty=0.8).crack_class != "unsure"
+
+
+@pytest.mark.parametrize(
+    ("seen", "judged"),
+    [
+        ((LEAST_DETAIL, MOST_BLUR), True),
+        ((LEAST_DETAIL - 0.01, MOST_BLUR), False),
+        ((LEAST_DETAIL, MOST_BLUR + 0.001), False),
+        ((1.0, np.nan), False),
+    ],
+)
+def test_a_cell_is_judged_if_cracks_would_show_whatever_its_support(
+    seen: tuple[float, float], judged: bool
+) -> None:
+    """One photograph has no support at all; what can be judged depends on what was seen."""
+    nothing = np.zeros((SIDE, SIDE), bool)
+    for mask, usual in ((nothing, "none"), (drawn(CUTTING), "C")):
+        found = supported(mask, half_supported(SIDE), seen=seen)
+        assert (found.unsupported_share, found.marked_class) == (1.0, usual)
+        assert (found.supported, found.crack_class == usual) == (judged, judged)
+        assert found.undecidable is not judged
+
+
+def test_a_broad_dark_part_is_class_c_also_where_cracks_would_not_show() -> None:
+    dark = np.zeros((SIDE, SIDE), bool)
+    dark[:40] = True
+    found = supported(drawn(CUTTING), half_supported(0), blocks=dark, seen=(0.1, 0.05))
+    assert found.crack_class == "C"

@@ -58,6 +58,9 @@ def test_a_module_of_which_no_cell_can_be_judged_is_in_doubt() -> None:
     )
     assert "current" in doubts(cell(dark_area_share=0.9))[0]
     assert doubts(*blind, cell()) == ()
+    noisy, blurred = ({"crack_detail": a, "edge_blur": b} for a, b in ((0.1, 0.01), (0.9, 0.03)))
+    assert "less noise" in doubts(cell(unsure=True, **noisy))[0]
+    assert "in focus" in doubts(cell(unsure=True, **blurred))[0]
 
 
 def test_a_layout_that_fits_nearly_as_well_is_named() -> None:

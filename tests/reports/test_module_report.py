@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pv_inspect.cracks import CellFeatures
 from pv_inspect.errors import InspectionError
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.settings import Settings
@@ -129,18 +130,24 @@ def test_every_column_of_the_table_can_be_sorted_by_a_number() -> None:
     assert np.isfinite(np.array(values, float)).all()
 
 
-def test_what_the_frames_did_not_earn_is_marked_and_counted() -> None:
+def test_cells_in_which_cracks_would_not_show_are_marked_and_counted() -> None:
     inspection = made_inspection()
     assert inspection.cracks is not None
-    first, *others = inspection.cracks.cells
-    assert "not supported" not in Reader(render_report(inspection)).text.split("Classes")[0]
-    cells = (replace(first, unsupported_share=0.8, unsure=True), *others)
-    html = render_report(replace(inspection, cracks=replace(inspection.cracks, cells=cells)))
+    first, *others = (replace(c, crack_detail=0.9, edge_blur=0.01) for c in inspection.cracks.cells)
+
+    def html_of(cell: CellFeatures) -> str:
+        cracks = replace(inspection.cracks, cells=(cell, *others))  # type: ignore[type-var]
+        return render_report(replace(inspection, cracks=cracks))
+
+    assert "✱" not in Reader(html_of(first)).text.split('id="cells"')[0].split("Classes")[0]
+    html = html_of(replace(first, edge_blur=0.02, unsure=True))
     text = " ".join(Reader(html).text.split())
     assert "1 of 6 cells can't be judged from these frames; cracks suspected in 1, 4 clean." in text
     assert "can't be judged ✱" in text
-    assert "80% of the cell is unsupported" in titles(html)[0]
-    assert "Not supported by the frames: at least half" in text
+    assert "blur 2.00% of its width: too blurred for cracks to show" in titles(html)[0]
+    assert "Cracks would not show: less than 60%" in text
+    of_old = html_of(replace(first, crack_detail=np.nan, unsupported_share=0.8, unsure=True))
+    assert "80% of the cell is unsupported" in titles(of_old)[0]
 
 
 def test_settings_are_shown_with_the_values_that_were_used() -> None:

@@ -100,7 +100,8 @@ def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path
     assert any(line.startswith("can't be judged ") for line in record["class_rule"])
     head = (tmp_path / "out" / "cells.csv").read_text().splitlines()[0]
     assert head.endswith(
-        "unsupported_share,unsure,weak_marks,novelty,cut_off_share,crack_class,marked_class"
+        "unsupported_share,unsure,weak_marks,novelty,cut_off_share,crack_detail,edge_blur,"
+        "crack_class,marked_class"
     )
 
 

@@ -100,6 +100,7 @@ class Subject:
             row=row,
             col=col,
             support=None if support is None else support[row, col],
+            seen=self.tiles.seen(row, col),
         )
 
     @cached_property
