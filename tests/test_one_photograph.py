@@ -10,7 +10,9 @@ import pytest
 from pv_inspect.cells import CellTiles
 from pv_inspect.common.work import result_of
 from pv_inspect.cracks import CrackMap, read_cracks
+from pv_inspect.cracks.seen import LEAST_DETAIL
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.inspection.summary import summary
 from pv_inspect.pipeline import inspect
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.reconstruction.single_frame import bicubic
@@ -65,6 +67,17 @@ def test_it_is_called_what_it_is(made: Inspection) -> None:
     assert made.warnings == (
         "1 frame: the result is a rectified single frame, not a super-resolution.",
     )
+    first = summary(made, Path("out"), 1.0).splitlines()[len(made.doubts)]
+    assert first == f"warning   {made.warnings[0]}"
+
+
+def test_its_cells_are_judged_by_what_could_be_seen(made: Inspection) -> None:
+    cells = made.need(CrackMap).cells
+    assert all(np.isfinite((cell.crack_detail, cell.edge_blur)).all() for cell in cells)
+    # 38 to 43 px per cell are too coarse, however sharp.
+    assert max(cell.crack_detail for cell in cells) < LEAST_DETAIL
+    assert all(cell.undecidable for cell in cells)
+    assert "can't be judged from these frames" in made.doubts[0]
 
 
 def test_no_value_is_beyond_what_the_frame_shows(made: Inspection) -> None:

@@ -56,7 +56,8 @@ def test_where_no_cell_could_be_judged_every_view_says_that_and_no_all_clear(
     review = CliRunner().invoke(cli.app, ["review", str(tmp_path / "out")]).stdout
     lines = summary(blind, tmp_path, 1.0).splitlines()
     assert lines[0].startswith("IN DOUBT  6 of 6 cells can't be judged from these frames")
-    assert lines[1] == f"cells     {BLIND}"
+    assert lines[1].startswith("warning   The 2 frames show the module in the same place")
+    assert lines[2] == f"cells     {BLIND}"
     pages = {
         "summary": "\n".join(lines),
         "report": text_of(render_report(blind)),

@@ -38,8 +38,8 @@ unknown          cracks, but no busbars were found
                  that the detector has learnt, or
                  cracks would not show: less than {LEAST_DETAIL:g} of a detail as fine as they are
                  (14 to 28 periods per cell width, in four fifths of the cell) comes from the
-                 frames, or the image is blurred by more than {MOST_BLUR:g} cell widths ("unsure"
-                 in cells.csv, verdicts.csv and result.json)
+                 frames, or the image is blurred by more than {MOST_BLUR:g} cell widths
+                 ("unsure" in cells.csv, verdicts.csv and result.json)
 """
 
 # By the id of the class, in the order of how much they matter to an expert, the worst first.

@@ -22,6 +22,7 @@ __all__ = [
     "CONTRADICTION",
     "doubts_of",
     "left_out",
+    "no_super_resolution",
     "not_used_sentence",
     "quarter_turn_sentence",
     "warnings_of",
@@ -75,7 +76,8 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     layout, registration = inspection.layout, inspection.need(Registration)
     sequence = inspection.frames
     used = int(registration.used.sum())
-    found = list(sequence.warnings)
+    plain = no_super_resolution(registration, sequence.shape)
+    found = [*([plain] if plain else []), *sequence.warnings]
     if inspection.layout_guessed:
         found.append(
             f"Rows and columns were not given: {layout.rows} x {layout.cols} cells of "
@@ -84,7 +86,6 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     if inspection.gaps_found:
         found.append(_seen_gaps(layout))
     sentences = (
-        _no_super_resolution(registration, sequence.shape),
         lock_in_sentence(sequence.lock_in, confirm=inspection.settings.lock_in is None),
         copies_sentence(sequence.copies, sequence.names),
         quarter_turn_sentence(registration),
@@ -100,8 +101,20 @@ def warnings_of(inspection: Inspection) -> tuple[str, ...]:
     return (*found, *(not_used_sentence(*frame) for frame in left_out(inspection)))
 
 
-def _no_super_resolution(registration: Registration, shape: tuple[int, int]) -> str:
-    """Say if the frames together show no more than one of them."""
+def no_super_resolution(registration: Registration, shape: tuple[int, int]) -> str:
+    """Say if the frames together show no more than one of them; told before anything else.
+
+    Parameters
+    ----------
+    registration : Registration
+    shape : tuple of int
+        (height, width) of a frame.
+
+    Returns
+    -------
+    str
+        Empty if they show more.
+    """
     used, total = int(registration.used.sum()), len(registration.used)
     if used == 1:
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"

@@ -1,4 +1,4 @@
-"""What a run has come to, in a few lines for a terminal: doubts first, then the cells."""
+"""What a run has come to, in a few lines for a terminal: doubts first, then what kind of image."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pv_inspect.cracks import CrackMap
 from pv_inspect.errors import printable
-from pv_inspect.inspection.doubts import left_out, not_used_sentence
+from pv_inspect.inspection.doubts import left_out, no_super_resolution, not_used_sentence
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -34,16 +34,19 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
     """
     reconstruction, used = inspection.need(Reconstruction), inspection.need(Registration).used
     unused = left_out(inspection)
-    told_as_frame = [not_used_sentence(*frame) for frame in unused]
+    told = [not_used_sentence(*frame) for frame in unused]
     height, width = reconstruction.image.shape
+    plain = no_super_resolution(inspection.need(Registration), inspection.frames.shape)
+    told.append(plain)
     lines = [
         *(f"IN DOUBT  {text}" for text in inspection.doubts),
+        *([f"warning   {plain}"] if plain else []),
         f"cells     {inspection.need(CrackMap).counts.text}",
         f"frames    {int(used.sum())} of {used.size} used",
         *(f"  not used: {name}: {why}" for name, why in unused),
         f"residual  {median_text(reconstruction.residual_rms)} ({RESIDUAL_MEANING})",
         f"module    {width} x {height} px, {reconstruction.grid.magnification:.2f}x",
-        *(f"warning   {text}" for text in inspection.warnings if text not in told_as_frame),
+        *(f"warning   {text}" for text in inspection.warnings if text not in told),
         f"results   {out}",
         f"report    {out / 'report.html'}",
         f"time      {seconds:.1f} s",
