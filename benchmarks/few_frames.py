@@ -7,7 +7,8 @@
 Simulated modules with their true geometry, at 3x. ``images``: PSNR of the module image beside the
 first frame, rectified by bicubic interpolation (both with the slow brightness of the truth); the
 darkest value, and the brightest over the brightest valid pixel of the first frame; F1 of coarse
-crack masks; cells without a crack that have a class, and those of all cells that can't be judged.
+crack masks; cells without a crack that have a class, cells with cracks of 0.1 cell widths or more
+that are called clean, and those of all cells that can't be judged.
 A case is a number of frames with their motion, or a number that all stand in the same place
 ("still").
 ``--prior-weight`` and ``--sigma`` are given to the reconstruction instead of what it finds.
@@ -33,8 +34,10 @@ from reconstruction import first_frames, true_registration
 from pv_inspect.cells import CellTiles
 from pv_inspect.common.work import result_of
 from pv_inspect.cracks import read_cracks
+from pv_inspect.cracks.centreline import branches, length_of
 from pv_inspect.cracks.training.scores import coarse_score
 from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.reconstruction.cell_sight import CellSight
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.registration.registration import Registration
@@ -56,6 +59,8 @@ Mask = NDArray[np.bool_]
 MAGNIFICATION = 3.0
 # Side of the blocks of coarse masks, HR px: 4 LR px, as the paper has them at 4x.
 BLOCK_PX = 12
+# Cells with shorter cracks, cell widths, count as neither cracked nor clean.
+_LEAST_CRACK = 0.1
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,8 @@ class Look:
     threshold: float
     clean: int
     classed: int
+    cracked: int
+    missed: int
     unsure: int
     cells: int
 
@@ -144,7 +151,9 @@ def flat_psnr(image: Image, truth: NDArray[np.float64], grid: HrGrid) -> float:
     return float(10 * np.log10(np.percentile(true, 99.9) ** 2 / np.mean(error**2)))
 
 
-def tiles_of(image: Image, grid: HrGrid, support: Image | None = None) -> CellTiles:
+def tiles_of(
+    image: Image, grid: HrGrid, support: Image | None = None, sight: CellSight | None = None
+) -> CellTiles:
     """Cut an image on a grid into its cells."""
     rows, cols = grid.layout.rows, grid.layout.cols
 
@@ -153,17 +162,30 @@ def tiles_of(image: Image, grid: HrGrid, support: Image | None = None) -> CellTi
             [[whole[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)], np.float32
         )
 
-    return CellTiles(cut(image), grid, None if support is None else cut(support))
+    return CellTiles(cut(image), grid, None if support is None else cut(support), sight)
+
+
+def length_of_cracks(mask: Mask) -> float:
+    """Length of the labelled cracks of a cell along their centre lines, px."""
+    return sum(map(length_of, branches(mask))) if mask.any() else 0.0
 
 
 def looked_at(
-    image: Image, grid: HrGrid, scene: Scene, brightest: float, support: Image | None = None
+    image: Image,
+    grid: HrGrid,
+    scene: Scene,
+    brightest: float,
+    support: Image | None = None,
+    sight: CellSight | None = None,
 ) -> Look:
     """Score an image on a grid."""
     truth = on_grid(scene.radiance, scene, grid)
     mask = on_grid(scene.cracks, scene, grid) >= 0.5
-    found = result_of(read_cracks(tiles_of(image, grid, support), Settings()))
-    clean = [c for c in found.cells if not mask[grid.cell_slices(c.row, c.col)].any()]
+    found = result_of(read_cracks(tiles_of(image, grid, support, sight), Settings()))
+    true = [length_of_cracks(mask[grid.cell_slices(c.row, c.col)]) for c in found.cells]
+    clean = [c for c, length in zip(found.cells, true, strict=True) if not length]
+    least = _LEAST_CRACK * grid.pixels_per_unit
+    cracked = [c for c, length in zip(found.cells, true, strict=True) if length >= least]
     return Look(
         flat_psnr(image, truth, grid),
         float(image.min()),
@@ -173,6 +195,8 @@ def looked_at(
         found.threshold,
         len(clean),
         sum(c.crack_class in ("A", "B", "C", "unknown") for c in clean),
+        len(cracked),
+        sum(c.crack_class == "none" for c in cracked),
         sum(c.crack_class == "unsure" for c in found.cells),
         len(found.cells),
     )
@@ -194,7 +218,8 @@ def looks(seed: int, counts: list[int], settings: Settings) -> Iterator[tuple[st
                 single = bicubic(sequence, some, result.grid, 0)
                 case = f"{count}, still" if still else f"{count}"
                 yield case, "bicubic", looked_at(single, result.grid, made.scene, top)
-                ours = looked_at(result.image, result.grid, made.scene, top, result.support)
+                known = result.support, result.sight
+                ours = looked_at(result.image, result.grid, made.scene, top, *known)
                 yield case, "ours", ours
                 print(
                     f"seed {seed}, {case}: sigma {plan.psf_sigma_px:.2f}, found "
@@ -218,7 +243,7 @@ def images(options: argparse.Namespace) -> None:
             found.setdefault((case, method), []).append(look)
     print(
         f"{'frames':<10}{'':<9}{'PSNR':>7}{'worst gain':>12}{'darkest':>9}{'brightest':>11}"
-        f"{'crack F1':>10}{'AP':>7}{'clean, classed':>16}{'unsure':>10}"
+        f"{'crack F1':>10}{'AP':>7}{'clean, classed':>16}{'cracked, clean':>17}{'unsure':>10}"
     )
     for (case, method), some in found.items():
         gains = [
@@ -233,6 +258,7 @@ def images(options: argparse.Namespace) -> None:
             f"{min(look.darkest for look in some):9.3f}"
             f"{max(look.brightest for look in some):11.2f}{score.f1:10.3f}{score.ap:7.3f}"
             f"{sum(look.classed for look in some):9d} / {sum(look.clean for look in some):<4d}"
+            f"{sum(look.missed for look in some):10d} / {sum(look.cracked for look in some):<4d}"
             f"{sum(look.unsure for look in some):6d} / {sum(look.cells for look in some)}"
         )
 

@@ -86,7 +86,7 @@ class CellFeatures:
         Share of the crack length, or of the area of a cell without cracks, that lies on pixels
         with a support under 0.1. NaN if no support map is known.
     unsure : bool
-        Whether the class hangs on what the frames did not earn (`wording.CLASS_RULE`).
+        Whether cracks would not show in the cell (`wording.CLASS_RULE`).
     weak_marks : bool
         Whether there are marks, but all are too short or too faint for a class
         (`OperatingPoint.least_length_cells`, ``least_score``); marks without length always are.
