@@ -270,9 +270,14 @@ def _unfinished(inspection: Inspection) -> str:
 
 
 def _blindness(inspection: Inspection) -> str:
-    """Say if no cell at all could be judged: then the absence of cracks says nothing."""
-    counts = inspection.need(CrackMap).counts
-    if counts.judged or not counts.total:
+    """Say if cracks would show in no cell at all: then the absence of cracks says nothing.
+
+    A broad dark part makes a cell class C in any frame; that does not mean that cracks would show.
+    """
+    found = inspection.need(CrackMap)
+    counts = found.counts
+    seen = any(cell.supported and not (cell.undecidable or cell.dark) for cell in found.cells)
+    if seen or not counts.total:
         return ""
     if counts.unfamiliar > counts.total // 2:
         todo = "look at the cells yourself, or try the detector 'ridge'"

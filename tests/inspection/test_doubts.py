@@ -61,6 +61,10 @@ def test_a_module_of_which_no_cell_can_be_judged_is_in_doubt() -> None:
     noisy, blurred = ({"crack_detail": a, "edge_blur": b} for a, b in ((0.1, 0.01), (0.9, 0.03)))
     assert "less noise" in doubts(cell(unsure=True, **noisy))[0]
     assert "in focus" in doubts(cell(unsure=True, **blurred))[0]
+    # A part that is cut off is seen in any frame, cracks are not.
+    cut_off = cell(crack_instances=1, cut_off_share=0.2, **noisy)
+    assert len(doubts(cut_off, cell(unsure=True, **noisy))) == 1
+    assert doubts(cut_off, cell(crack_detail=0.9, edge_blur=0.01)) == ()
 
 
 def test_a_layout_that_fits_nearly_as_well_is_named() -> None:
