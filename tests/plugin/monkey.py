@@ -100,7 +100,10 @@ class Monkey:
         self.viewer = self._make_viewer()
         self.dock, self.cells = build(self.viewer)
         self.workbench = self.dock.workbench
-        self.workbench.model.change_settings(magnification=2.0, max_iterations=3)
+        # Estimating the blur would be two thirds of every run; a slider may ask for it.
+        self.workbench.model.change_settings(
+            magnification=2.0, max_iterations=3, psf_sigma_lr_px=0.5
+        )
         main_window(self.viewer).show()
 
     def act(self, count: int) -> None:

@@ -47,7 +47,9 @@ def test_two_modules_in_two_windows_run_and_are_judged_at_once(
     for dock in docks:
         dock.workbench.open(tiny_folder)
         qtbot.waitUntil(lambda d=dock: not d.workbench.opener.busy)
-        dock.workbench.model.change_settings(magnification=2.0, max_iterations=3)
+        dock.workbench.model.change_settings(
+            magnification=2.0, max_iterations=3, psf_sigma_lr_px=0.5
+        )
     for dock in docks:
         dock.run.run.click()
     assert all(dock.workbench.model.run_state is RunState.RUNNING for dock in docks)

@@ -16,7 +16,7 @@ from qtpy.QtWidgets import QFileDialog, QMessageBox
 from tests.plugin.monkey import Monkey
 
 SEEDS = [int(seed) for seed in os.environ.get("PV_INSPECT_SEEDS", "0,1").split(",")]
-ACTIONS = int(os.environ.get("PV_INSPECT_ACTIONS", "60"))
+ACTIONS = int(os.environ.get("PV_INSPECT_ACTIONS", "30"))
 
 
 @pytest.mark.slow
