@@ -9,15 +9,19 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import platformdirs
 import pytest
+from npe2 import PluginManifest
 from pytestqt.qtbot import QtBot
 from qtpy.QtWidgets import QApplication
 
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 REAL_WINDOW = os.environ["QT_QPA_PLATFORM"] == "xcb"
+
+from napari.settings import get_settings  # noqa: E402 (Qt reads the platform on import)
 
 from napari_pv_inspect.application import build  # noqa: E402 (Qt reads the platform on import)
 from napari_pv_inspect.docks.gallery import CellsDock  # noqa: E402
@@ -28,21 +32,13 @@ from pv_inspect.pipeline import inspect  # noqa: E402
 from pv_inspect.sequence.sequence import FrameSequence  # noqa: E402
 from pv_inspect.settings import Settings, Stage  # noqa: E402
 from pv_inspect.simulate import SimulationSettings, simulated, write_sequence  # noqa: E402
+from tests.once import made_once  # noqa: E402
 from tests.plugin.reviewing import show, stored  # noqa: E402
 from tests.plugin.shared_window import SharedWindow, is_ours  # noqa: E402
 from tests.waiting import LONG_MS  # noqa: E402
 
 LEAVING_S = 60.0
 """Work that goes on in the background ends within a second; this is for a busy machine."""
-
-SHARES_A_WINDOW = {
-    "test_dock_layout",
-    "test_frames_list",
-    "test_in_doubt",
-    "test_napari_internals",
-    "test_points",
-}
-"""Modules that were seen to leave nothing in the shared window; the rest make their own."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -84,6 +80,18 @@ def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "get_max_texture_sizes", lambda: (16384, 2048))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def nothing_of_the_user() -> Generator[None]:
+    """Write no settings of napari, and look once for what plugins are installed.
+
+    napari wrote its settings five times per window, and looked for plugins at each.
+    """
+    installed = list(PluginManifest.discover())
+    get_settings()._save_on_change = False
+    with patch.object(PluginManifest, "discover", lambda **_: iter(installed)):
+        yield
+
+
 @pytest.fixture(autouse=True)
 def modules_are_no_garbage(request: pytest.FixtureRequest) -> Generator[None]:
     """Once a viewer was made and closed, leave out of garbage collection what is there to stay.
@@ -116,10 +124,10 @@ def viewer(
     """
     top_level = {id(widget) for widget in QApplication.topLevelWidgets()}
     if not windows:
-        if not gc.get_freeze_count():  # see `modules_are_no_garbage`; not the window itself
-            gc.collect()
-            gc.freeze()
         windows.append(SharedWindow())
+        # See `modules_are_no_garbage`; the window stays as well.
+        gc.collect()
+        gc.freeze()
         top_level = {id(widget) for widget in QApplication.topLevelWidgets()}
     window = windows[0]
     with window.in_use():
@@ -146,6 +154,7 @@ def viewer(
                 sleep(0.02)
                 found = left_over()
             if not found:
+                gc.freeze()  # What is alive now is there to stay.
                 return
     windows.clear()
     window.close()
@@ -167,9 +176,13 @@ def tiny_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     settings = SimulationSettings(
         rows=3, cols=4, n_frames=5, width=240, height=180, pixels_per_unit=96, supersampling=3
     )
-    folder = tmp_path_factory.mktemp("tiny") / "module"
-    write_sequence(simulated(settings), folder)
-    return folder
+
+    def made() -> Path:
+        folder = tmp_path_factory.mktemp("tiny") / "module"
+        write_sequence(simulated(settings), folder)
+        return folder
+
+    return made_once(tmp_path_factory, "tiny_folder", made)
 
 
 @pytest.fixture(scope="session")
@@ -192,20 +205,30 @@ def tiny_settings(tiny_sequence: FrameSequence) -> Settings:
 
 
 @pytest.fixture(scope="session")
-def tiny_inspection(tiny_sequence: FrameSequence, tiny_settings: Settings) -> Inspection:
+def tiny_inspection(
+    tiny_sequence: FrameSequence,
+    tiny_settings: Settings,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Inspection:
     """Return a whole inspection of the tiny module."""
-    return inspect(tiny_sequence, tiny_settings)
+    inspection = made_once(
+        tmp_path_factory, "tiny_inspection", lambda: inspect(tiny_sequence, tiny_settings)
+    )
+    return replace(inspection, sequence=tiny_sequence)
 
 
 @pytest.fixture
 def workbench(
     request: pytest.FixtureRequest, tiny_sequence: FrameSequence, tiny_settings: Settings
 ) -> tuple[Any, InspectDock, CellsDock]:
-    """Viewer and docks with the tiny module open."""
-    if request.module.__name__.rpartition(".")[2] in SHARES_A_WINDOW and not REAL_WINDOW:
-        viewer = request.getfixturevalue("viewer")
-    else:
+    """Viewer and docks with the tiny module open; the viewer is shared, see `viewer`.
+
+    A test that asks for `make_napari_viewer` has one of its own.
+    """
+    if REAL_WINDOW or "make_napari_viewer" in request.fixturenames:
         viewer = request.getfixturevalue("make_napari_viewer")()
+    else:
+        viewer = request.getfixturevalue("viewer")
     dock, cells = build(viewer)
     dock.workbench.model.open(tiny_sequence)
     dock.workbench.model.change_settings(magnification=2.0, max_iterations=5)

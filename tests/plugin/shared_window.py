@@ -163,16 +163,20 @@ class SharedWindow:
 
     def close(self) -> None:
         """Close it for good; what is left of it then is a leak."""
+        gc.unfreeze()
         try:
             with self.in_use():
                 if self.is_open:
                     with patch.object(self._window, "_save_current_window_settings"):
                         self.viewer.close()
         finally:
+            del self._window, self.viewer
+            # Menus that are still there would be made anew at each action that goes.
+            QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+            gc.collect()
             Application.destroy(APP)
             _initialize_plugins.cache_clear()
             init_qactions.cache_clear()
-            del self._window, self.viewer
 
     def assert_gone(self) -> None:
         """Look for the canvas of a closed window as napari's own fixture does."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
@@ -414,10 +414,8 @@ def test_a_click_on_the_curve_sets_lambda(live: tuple[InspectDock, LiveDock]) ->
     assert dock.workbench.history.undo_text == "Change lambda"
 
 
-def test_the_axis_of_lambda_is_logarithmic_and_inverts(
-    make_napari_viewer: Callable[..., Any],
-) -> None:
-    make_napari_viewer()
+@pytest.mark.usefixtures("viewer")
+def test_the_axis_of_lambda_is_logarithmic_and_inverts() -> None:
     plot = LambdaPlot()
     plot.resize(300, 112)
     plot.show_curve(((0.1, 1.2), (1.0, 1.0), (10.0, 1.5)), 1.0)
@@ -427,8 +425,8 @@ def test_the_axis_of_lambda_is_logarithmic_and_inverts(
     plot.grab()
 
 
-def test_the_divider_parts_the_two_pictures(make_napari_viewer: Callable[..., Any]) -> None:
-    make_napari_viewer()
+@pytest.mark.usefixtures("viewer")
+def test_the_divider_parts_the_two_pictures() -> None:
     view = SwipeView()
     view.resize(200, 200)
     view.show_before(grey_image(np.zeros((50, 50), np.float32), (0.0, 1.0)), "")

@@ -37,8 +37,7 @@ def result_folder(tiny_inspection: Inspection, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def app(make_napari_viewer: Callable[..., Any]) -> tuple[Any, Any, Any]:
-    viewer = make_napari_viewer()
+def app(viewer: Any) -> tuple[Any, Any, Any]:
     return viewer, *build(viewer)
 
 

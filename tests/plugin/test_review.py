@@ -261,14 +261,13 @@ def test_the_camera_stays_when_the_gallery_only_lists_again(
 
 
 def test_verdicts_come_back_with_a_result_folder(
-    make_napari_viewer: Callable[..., Any], tiny_inspection: Inspection, tmp_path: Path, qtbot: Any
+    viewer: Any, tiny_inspection: Inspection, tmp_path: Path, qtbot: Any
 ) -> None:
     from napari_pv_inspect.application import build
 
     write_result(tiny_inspection, tmp_path / "out")
     with ReviewStore(tmp_path / "out") as store:
         store.give(Verdict(1, 2, VerdictKind.CRACK_B, "Ben", "seen"))
-    viewer = make_napari_viewer()
     dock, cells = build(viewer)
     dock.workbench.model.open_result(read_result(tmp_path / "out"))
     stored(dock, qtbot)

@@ -132,10 +132,10 @@ def test_a_grid_that_was_changed_empties_the_review_until_the_cells_are_back(
 
 
 def test_what_was_never_saved_comes_back_with_its_cells(
-    workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, tiny_inspection: Inspection
 ) -> None:
     _, dock, _ = workbench
-    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    dock._on_save = lambda: None
     show(dock, tiny_inspection)
     state = dock.workbench.review.state
     state.commands.give((0, 1), OK)
@@ -189,10 +189,10 @@ def test_tiles_of_another_layout_are_no_subject(tiny_inspection: Inspection) -> 
 
 
 def test_what_the_user_discards_is_not_told_again(
-    workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
+    workbench: Any, tiny_inspection: Inspection
 ) -> None:
     _, dock, _ = workbench
-    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    dock._on_save = lambda: None
     show(dock, tiny_inspection)
     said: list[str] = []
     state = dock.workbench.review.state
@@ -208,7 +208,7 @@ def test_what_is_lost_unasked_is_told(
     workbench: Any, tiny_inspection: Inspection, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, dock, _ = workbench
-    monkeypatch.setattr(dock, "_on_save", lambda: None)
+    dock._on_save = lambda: None
     monkeypatch.setattr("napari_pv_inspect.workbench.show_error", lambda _: None)
     show(dock, tiny_inspection)
     said: list[str] = []

@@ -222,6 +222,7 @@ def test_closing_mid_run_stops_the_run(workbench: Any, replayed: Any, qtbot: QtB
     qtbot.wait(100)
 
 
+@pytest.mark.usefixtures("make_napari_viewer")
 def test_the_dock_may_be_closed_mid_run_and_opened_again(
     workbench: Any, replayed: Any, qtbot: QtBot
 ) -> None:
@@ -307,9 +308,8 @@ def test_one_workbench_per_viewer(workbench: Any, tiny_inspection: Inspection) -
 
 
 def test_the_controls_alone_bring_the_gallery_with_the_first_cells(
-    make_napari_viewer: Any, tiny_sequence: FrameSequence, replayed: Any, qtbot: QtBot
+    viewer: Any, tiny_sequence: FrameSequence, replayed: Any, qtbot: QtBot
 ) -> None:
-    viewer = make_napari_viewer()
     dock = InspectDock(viewer)
     viewer.window.add_dock_widget(dock)
     dock.workbench.model.open(tiny_sequence)
