@@ -1,13 +1,11 @@
-"""The prior R of Eq. 7: sparse curvature, bilateral total variation, Tikhonov.
+"""The prior R of Eq. 7: what the solver asks of it, its names, and sparse curvature.
 
 References
 ----------
 .. [1] T. Koehler, X. Huang, F. Schebesch, A. Aichert, A. Maier, J. Hornegger, "Robust multiframe
    super-resolution employing iteratively re-weighted minimization", IEEE Trans. Computational
    Imaging 2(1), 2016, doi:10.1109/TCI.2016.2516909.
-.. [2] S. Farsiu, M. D. Robinson, M. Elad, P. Milanfar, "Fast and robust multiframe super
-   resolution", IEEE Trans. Image Processing 13(10), 2004, doi:10.1109/TIP.2004.834669.
-.. [3] S. Lefkimmiatis, A. Bourquard, M. Unser, "Hessian-based norm regularization for image
+.. [2] S. Lefkimmiatis, A. Bourquard, M. Unser, "Hessian-based norm regularization for image
    restoration with biomedical applications", IEEE Trans. Image Processing 21(3), 2012,
    doi:10.1109/TIP.2011.2168232.
 """
@@ -16,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal, Protocol, Self
 
 import cv2
 import numba
@@ -24,12 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.common.compiling import compiled
-from pv_inspect.observation.stencil import OFFSETS, Quadratic, Stencil
+from pv_inspect.observation.stencil import Quadratic
+from pv_inspect.reconstruction.total_variation import Btv, WeightedBtv
 
-__all__ = ["Btv", "Curvature", "Prior", "PriorName", "SparseCurvature", "prior_named"]
+__all__ = ["Curvature", "Prior", "PriorName", "SparseCurvature", "prior_named"]
 
 Image = NDArray[np.floating]
-PriorName = Literal["sparse_curvature", "btv", "tikhonov"]
+PriorName = Literal["sparse_curvature", "wbtv", "btv", "tikhonov"]
 
 # Second differences d go along x, y and both diagonals. On a diagonal d is f_xx + f_yy +- 2 f_xy:
 # with a quarter each, the weighted sum of squares is the squared Frobenius norm of the Hessian plus
@@ -50,18 +49,30 @@ class Prior(Protocol):
     def majoriser(self, image: Image, factor: float = 1.0) -> Quadratic:
         """Return L; f' L f / 2 touches ``factor * R`` at the image and lies above it elsewhere."""
 
+    def continued(self, image: Image, rounds: int, /) -> Prior:
+        """Return the prior of the next round: itself, unless its scale follows the image.
+
+        Parameters
+        ----------
+        image : (height, width)
+            As it is after some rounds, each of which has minimised one majoriser.
+        rounds : int
+        """
+
 
 def prior_named(name: PriorName, contrast: float) -> Prior:
     """Return the prior of a name.
 
     Parameters
     ----------
-    name : {"sparse_curvature", "btv", "tikhonov"}
+    name : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
     contrast : float
         Unit that differences are measured in, full-scale units.
     """
     if name == "sparse_curvature":
         return SparseCurvature(contrast)
+    if name == "wbtv":
+        return WeightedBtv(contrast)
     if name == "btv":
         return Btv(contrast)
     return Btv(contrast, exponent=2.0)
@@ -120,7 +131,7 @@ class SparseCurvature:
 
     It takes from [1]_ the sparsity p and the adaptive weights u^(p-2), which are shared by
     neighbours here: an edge or a finger is a structure, not a single pixel, while noise is not.
-    Second differences [3]_, because cells are smooth shading with fine lines rather than flat
+    Second differences [2]_, because cells are smooth shading with fine lines rather than flat
     patches: the spectrum of their images falls with the fifth power of the frequency and more.
     First differences with the same penalty turn texture into steps, at the minimiser by 1 to 3 dB
     worse than their own squares.
@@ -165,64 +176,15 @@ class SparseCurvature:
         shared[:, [0, -1]] = 0
         return Curvature(shared)
 
+    def continued(self, _image: Image, _rounds: int, /) -> Self:
+        """Return itself."""
+        return self
+
     def _squares(self, image: Image) -> Image:
         """u^2 of the notes."""
         energy = np.zeros_like(image)
         _energy(image, _STEP_WEIGHTS / self.contrast**2, energy)
         return _mean(energy) + image.dtype.type(self.smoothing**2)
-
-
-@dataclass(frozen=True)
-class Btv:
-    """Bilateral total variation [2]_, and with the exponent 2 Tikhonov's squared differences.
-
-    Parameters
-    ----------
-    contrast : float
-        Unit c of differences, full-scale units.
-    alpha : float
-        Weight of a shift (l, m) is alpha^(|l| + |m|).
-    smoothing : float
-        Difference below which the L1 norm is rounded off, units of c.
-    exponent : float
-        p, 0 < p <= 2; 1 is total variation, 2 Tikhonov.
-
-    Notes
-    -----
-    With the differences d = f(x) - f(x + s) over the half window of 12 shifts s, each edge of the
-    window counted once, ``R(f) = sum_x sum_s alpha^|s| (u^p - e^p) / p``, u^2 = (d / c)^2 + e^2.
-    The graph with edge weights alpha^|s| u^(p-2) has the Laplacian L of the majoriser.
-    """
-
-    contrast: float
-    alpha: float = 0.6
-    smoothing: float = 0.5
-    exponent: float = 1.0
-
-    def objective(self, image: Image) -> float:
-        """R(f), summed in float64."""
-        return float(_btv(image, self._weights, *self._numbers).sum())
-
-    def gradient(self, image: Image) -> Image:
-        """Return d R / d f, (height, width)."""
-        return self.majoriser(image).apply(image)
-
-    def majoriser(self, image: Image, factor: float = 1.0) -> Stencil:
-        """Quadratic f' L f / 2 that touches ``factor * R``; see `SparseCurvature.majoriser`."""
-        height, width = image.shape
-        out = Stencil.zeros((height, width), image.dtype.type)
-        _edges(image, factor / self.contrast**2 * self._weights, *self._numbers, out.planes)
-        _degrees(out.planes)
-        return out
-
-    @property
-    def _weights(self) -> NDArray[np.float64]:
-        weights: NDArray[np.float64] = self.alpha ** np.abs(OFFSETS).sum(axis=1).astype(np.float64)
-        return weights
-
-    @property
-    def _numbers(self) -> tuple[float, float, float]:
-        return 1.0 / self.contrast, self.smoothing, self.exponent
 
 
 def _mean(image: Image) -> Image:
@@ -283,69 +245,3 @@ def _curvature(f, v, weights, out):  # type: ignore[no-untyped-def]
                 s = b0[x + 1] + b1[x + 1] + b2[x + 1] + b3[x + 1]
                 sides = b0[x] + b0[x + 2] + a1[x + 1] + c1[x + 1]
                 row[x] = sides + a2[x] + c2[x + 2] + a3[x + 2] + c3[x] - two * s
-
-
-@compiled(parallel=True)
-def _btv(f, weights, scale, smoothing, exponent):  # type: ignore[no-untyped-def]
-    height, width = f.shape
-    rows = np.zeros(height)
-    least = smoothing**exponent
-    for y in numba.prange(height):
-        total = 0.0
-        for k in range(1, 13):
-            dy, dx = OFFSETS[k]
-            if y + dy >= height:
-                continue
-            s = 0.0
-            for x in range(max(0, -dx), min(width, width - dx)):
-                d = scale * (np.float64(f[y, x]) - np.float64(f[y + dy, x + dx]))
-                s += (d * d + smoothing * smoothing) ** (0.5 * exponent) - least
-            total += weights[k] * s / exponent
-        rows[y] = total
-    return rows
-
-
-@compiled(parallel=True, fastmath={"contract", "reassoc", "arcp"})
-def _edges(f, weights, scale, smoothing, exponent, planes):  # type: ignore[no-untyped-def]
-    """Off-diagonal planes: minus the edge weights."""
-    height, width = f.shape
-    kind = planes.dtype.type
-    s2, e2, power = kind(scale * scale), kind(smoothing * smoothing), kind(0.5 * exponent - 1.0)
-    for y in numba.prange(height):
-        for k in range(1, 13):
-            dy, dx = OFFSETS[k]
-            row = planes[k, y]
-            row[:] = 0
-            if y + dy >= height:
-                continue
-            here, there = f[y], f[y + dy]
-            w = kind(-weights[k])
-            lo, hi = max(0, -dx), min(width, width - dx)
-            if exponent == 1.0:
-                for x in range(lo, hi):
-                    d = here[x] - there[x + dx]
-                    row[x] = w / np.sqrt(s2 * d * d + e2)
-            else:
-                for x in range(lo, hi):
-                    d = here[x] - there[x + dx]
-                    row[x] = w * (s2 * d * d + e2) ** power
-
-
-@compiled(parallel=True)
-def _degrees(planes):  # type: ignore[no-untyped-def]
-    """Diagonal: sum of the weights of all edges at a pixel."""
-    height, width = planes.shape[1:]
-    for y in numba.prange(height):
-        row = planes[0, y]
-        row[:] = 0
-        for k in range(1, 13):
-            dy, dx = OFFSETS[k]
-            lo, hi = max(0, -dx), min(width, width - dx)
-            if y + dy < height:
-                edges = planes[k, y]
-                for x in range(lo, hi):
-                    row[x] -= edges[x]
-            if y - dy >= 0:
-                edges = planes[k, y - dy]
-                for x in range(lo, hi):
-                    row[x + dx] -= edges[x]

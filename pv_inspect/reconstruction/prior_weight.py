@@ -35,6 +35,7 @@ Image = NDArray[np.floating]
 
 CANDIDATES = {
     "sparse_curvature": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
+    "wbtv": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(10)),
     "btv": tuple(float(v) for v in 4.0 * 0.5 ** np.arange(10)),
     "tikhonov": tuple(float(v) for v in 0.2 * 0.5 ** np.arange(11)),
 }
@@ -100,7 +101,7 @@ def choose_prior_weight(
         Parts of the module; their residuals are pooled.
     sigma : float
         Optical sigma, LR px.
-    name : {"sparse_curvature", "btv", "tikhonov"}
+    name : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
 
     Yields
     ------

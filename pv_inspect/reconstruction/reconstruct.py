@@ -180,7 +180,7 @@ def solve(
     faint = np.float32(FAINT * problem.brightness)
 
     def prior_with(detail: Image) -> Quadratic:
-        return problem.majoriser(image + faint * detail)
+        return solution.problem.majoriser(image + faint * detail)
 
     support = yield from forwarded(
         support_of(equations, prior_with),

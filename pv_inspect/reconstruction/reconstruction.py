@@ -61,7 +61,7 @@ class Reconstruction:
         empty if the user gave lambda.
     photometry : Photometry, optional
         The sensor's part in the intensities, if it was looked for.
-    prior : {"sparse_curvature", "btv", "tikhonov"}
+    prior : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
         What ``prior_weight`` is the weight of.
     sight : CellSight, optional
         How well every cell was seen; not in results of earlier versions.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numba
@@ -41,8 +41,10 @@ class Problem:
         lambda.
     brightness : float
         Typical intensity of the module, full-scale units.
-    prior_name : {"sparse_curvature", "btv", "tikhonov"}
+    prior_name : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
         R.
+    continued_prior : Prior, optional
+        R with its scale as it was at an image; see `continued`.
 
     Notes
     -----
@@ -57,11 +59,20 @@ class Problem:
     prior_weight: float
     brightness: float
     prior_name: PriorName = "sparse_curvature"
+    continued_prior: Prior | None = None
 
     @property
     def prior(self) -> Prior:
         """R(f / c) with c in full-scale units."""
+        if self.continued_prior is not None:
+            return self.continued_prior
         return prior_named(self.prior_name, _CONTRAST * self.brightness)
+
+    def continued(self, image: Image, rounds: int) -> Problem:
+        """Return the problem of the next round: itself, unless R's scale follows the image."""
+        prior = self.prior
+        following = prior.continued(image, rounds)
+        return self if following is prior else replace(self, continued_prior=following)
 
     def majoriser(self, image: Image) -> Quadratic:
         """Return the prior's majoriser at an image, on the scale of the equations."""
@@ -81,16 +92,19 @@ class Solution:
     ----------
     image : (height, width) float32
     objective : tuple of float
-        E after every majoriser.
+        E after every majoriser, since the prior's scale stays.
     iterations : int
         Conjugate gradient steps.
     converged : bool
+    problem : Problem
+        What was minimised, with the prior's scale as it was at the end.
     """
 
     image: Image
     objective: tuple[float, ...]
     iterations: int
     converged: bool
+    problem: Problem
 
 
 def first_guess(equations: NormalEquations) -> Image:
@@ -144,7 +158,7 @@ def minimise(
     apart and updates everything in one pass; that of the support (`support_of`) does without. In
     one function they would round in another way.
     """
-    equations, prior = problem.equations, problem.prior
+    equations = problem.equations
     f = start.copy()
     b = equations.right_hand_side
     residual = b - equations.apply(f)
@@ -154,11 +168,16 @@ def minimise(
     objective: list[float] = []
     iterations, rounds, converged = 0, 0, False
     r, p = np.empty_like(f), np.empty_like(f)
+    problem = problem.continued(f, 0)
     laplacian = problem.majoriser(f)
     steps = _INNER_ITERATIONS_SPECTRAL if spectral else _INNER_ITERATIONS
     frequencies: Spectral | None = None
     while not converged and iterations < max_iterations:
         if rounds:
+            following = problem.continued(f, rounds)
+            if following is not problem:
+                problem = following
+                objective.clear()
             laplacian = problem.majoriser(f)
         before = f.copy()
         scale = 1.0 / (diagonal + laplacian.diagonal + floor)
@@ -191,17 +210,17 @@ def minimise(
                 p += z
             rz = new
             iterations += 1
-            yield Solution(f, tuple(objective), iterations, False)
+            yield Solution(f, tuple(objective), iterations, False, problem)
             if rz < 1e-4 * first:
                 break
         rounds += 1
         misfit = (equations.energy - dot(f, b) - dot(f, residual)) / m
-        objective.append(misfit + problem.prior_factor * prior.objective(f) / m)
+        objective.append(misfit + problem.prior_factor * problem.prior.objective(f) / m)
         np.subtract(f, before, out=before)
         change = np.sqrt(dot(before, before) / f.size) / problem.brightness
-        fall = objective[-2] - objective[-1] if rounds > 1 else np.inf
+        fall = objective[-2] - objective[-1] if len(objective) > 1 else np.inf
         converged = bool(change < 3.0 * tolerance and fall < tolerance * objective[-1])
-    return Solution(f, tuple(objective), iterations, converged)
+    return Solution(f, tuple(objective), iterations, converged, problem)
 
 
 def _whole(equations: NormalEquations, laplacian: Quadratic, f: Image) -> Image:

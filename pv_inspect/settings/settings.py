@@ -246,7 +246,7 @@ class Settings(DeclaredModel):
         ge=0.1,
         le=3,
     )
-    prior: Literal["sparse_curvature", "btv", "tikhonov"] = tunable(
+    prior: Literal["sparse_curvature", "wbtv", "btv", "tikhonov"] = tunable(
         "sparse_curvature",
         _image(
             "prior",
@@ -255,6 +255,11 @@ class Settings(DeclaredModel):
                     "Sharp edges",
                     "Flattens noise and keeps cracks sharp; an edge once found is smoothed less "
                     "(sparse curvature).",
+                ),
+                "wbtv": (
+                    "Sharp, as published",
+                    "Differences of neighbours, large ones with less weight: the prior of the "
+                    "method's paper (weighted bilateral total variation, WBTV).",
                 ),
                 "btv": (
                     "Sharp, plain",
@@ -268,8 +273,9 @@ class Settings(DeclaredModel):
             },
             live=True,
         ),
-        "Prior of Eq. 7: a group-sparse penalty on second differences, bilateral total variation, "
-        "or squared differences (Tikhonov).",
+        "Prior of Eq. 7: a group-sparse penalty on second differences, the paper's weighted "
+        "bilateral total variation (wbtv), bilateral total variation without weights (btv), or "
+        "squared differences (tikhonov).",
     )
     motion_blur: Literal["auto", "none"] = tunable(
         "auto",

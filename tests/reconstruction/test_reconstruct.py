@@ -23,6 +23,7 @@ from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
+from pv_inspect.reconstruction.total_variation import WeightedBtv
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import NoiseModel
 from tests.recording import (
@@ -108,6 +109,29 @@ def test_objective_falls_from_round_to_round(prior: str) -> None:
     assert result.converged
     assert 0 < result.iterations < 600
     assert result.lambda_curve == ()
+
+
+def test_weighted_btv_falls_to_where_its_gradient_vanishes() -> None:
+    sequence, registration, _ = recording(6)
+    grid = HrGrid.covering(LAYOUT, registration.lr_px_per_unit, 2.0)
+    model = ObservationModel.build(
+        SensorRays.of(CAMERA, SHAPE), CAMERA, registration.homographies, grid, SIGMA
+    )
+    equations = equations_of(sequence, registration, model)
+    start = first_guess(equations)
+    solution = result_of(minimise(Problem(equations, 0.2, 0.5, "wbtv"), start, 400, 0.0))
+    prior = solution.problem.prior
+    assert isinstance(prior, WeightedBtv)
+    assert 0.0 < prior.threshold < np.inf
+    objective = np.array(solution.objective)
+    assert len(objective) > 10
+    assert (np.diff(objective) <= 1e-6 * objective[0]).all()
+
+    def slope(image: np.ndarray) -> np.ndarray:
+        pull = solution.problem.majoriser(image).apply(image)
+        return equations.apply(image) - equations.right_hand_side + pull
+
+    assert np.linalg.norm(slope(solution.image)) < 2e-3 * np.linalg.norm(slope(start))
 
 
 def test_stopping_rule_is_right_against_ten_times_the_steps(
