@@ -91,7 +91,7 @@ def test_a_change_of_a_control_is_a_change_of_the_settings(forms: Any, qtbot: Qt
     qtbot.keyClicks(point, "120, 80.5")
     qtbot.keyClick(point, Qt.Key.Key_Return)
     assert model.settings == Settings(
-        rows=6, kappa=-0.3, prior="btv", second_pass=False, module_at=(120, 80.5)
+        rows=6, kappa=-0.3, prior="wbtv", second_pass=False, module_at=(120, 80.5)
     )
     made[Group.MODULE]["rows"].setValue(0)
     made[Group.LENS]["kappa"].automatic.click()
