@@ -50,6 +50,8 @@ UNEVEN = 1 / np.sqrt(12.0)
 PLACE_SIGMA = 0.05
 """What a place along a clean gap is off, gap widths."""
 ROBUST_ITERATIONS = 5
+MOST_FRAMES_PER_UNIT = 4
+"""A pose by which a cell is larger than so many frames has failed."""
 
 
 @dataclass(frozen=True)
@@ -203,6 +205,8 @@ def _measure_alike(
     """Measure edges whose gaps are wider than usual by the same width."""
     # Image pixels per module unit; everything below is in image pixels.
     scale = float(np.nanmedian(scales_px(edges, pose)))
+    if not scale < MOST_FRAMES_PER_UNIT * max(image.shape):
+        return EdgeOffsets.together(len(edges.middle), ())
     wider = gap_units * scale
     usual = search * scale + max(shape.reach for shape in GAP_SHAPES) + 2 * STEP_PX
     x = _distances(usual + (0.5 + UNSURE_WIDTH) * wider)

@@ -115,3 +115,12 @@ def test_the_robust_mean_leaves_out_what_is_spoilt_or_unknown() -> None:
     mean, deviation = _robust_means(values, sigma)
     np.testing.assert_allclose(mean, [0.11, 1.0], atol=0.01)
     np.testing.assert_allclose(deviation, 0.05 / np.sqrt(0.8))
+
+
+def test_a_pose_that_blows_a_cell_up_shows_nothing() -> None:
+    image = _module(np.full((3, 4), 0.7))
+    pose = _pose()
+    blown_up = Pose(pose.camera, pose.homography @ np.diag([1e6, 1e6, 1.0]))
+    offsets = measure_edges(image, cell_edges(LAYOUT), blown_up, 0.05)
+    assert not offsets.found.any()
+    assert not offsets.visible.any()
