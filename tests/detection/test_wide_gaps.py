@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pv_inspect.detection import single_frame
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.single_frame import find_module
 from pv_inspect.detection.wide_gaps import gaps_in_frame
+from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, simulated
 
 HALF_CUT = {"rows": 4, "cols": 12, "cell_aspect": 0.5}
@@ -90,3 +93,16 @@ def test_a_layout_that_says_its_gap_is_found_where_an_even_one_is_not() -> None:
 def test_wrong_rows_are_not_explained_by_a_gap() -> None:
     settings = _settings(rows=5, cols=6)
     assert gaps_in_frame(_frame(settings), ModuleLayout(4, 6)) is None
+
+
+def test_cells_that_fit_with_an_impossible_lens_only_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = _settings(**MINI, cell_gap=0.06, dark_cell_share=0.0)
+
+    def bent(pose: Pose, *_: object) -> Pose:
+        return Pose(Camera(pose.camera.K, 207.0), pose.homography)
+
+    monkeypatch.setattr(single_frame, "refined_pose", bent)
+    with pytest.raises(OutlineError, match="kappa \\+207, which no lens has"):
+        find_module(_frame(settings), settings.layout)
