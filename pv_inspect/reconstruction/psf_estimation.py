@@ -20,16 +20,24 @@ from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
-__all__ = ["TYPICAL_SIGMA_LR_PX", "estimate_psf_sigma", "window_of"]
+__all__ = [
+    "SEARCHED_LR_PX",
+    "TYPICAL_SIGMA_LR_PX",
+    "TYPICAL_SPREAD_LR_PX",
+    "estimate_psf_sigma",
+    "window_of",
+]
 
 Image = NDArray[np.float32]
 
 TYPICAL_SIGMA_LR_PX = 0.45
 """Optical sigma of lenses that are in focus, LR px; the first draft of the module assumes it."""
-# Mean and spread that are expected of it.
-_EXPECTED = (TYPICAL_SIGMA_LR_PX, 0.12)
-# Where the search begins, its steps and its limits, LR px.
-_FIRST_SIGMA, _STEP, _RANGE = 0.49, 0.06, (0.13, 1.5)
+TYPICAL_SPREAD_LR_PX = 0.12
+"""Spread that is expected of it, LR px."""
+SEARCHED_LR_PX = (0.13, 1.5)
+"""Limits of the search, LR px."""
+# Where the search begins, and its steps, LR px.
+_FIRST_SIGMA, _STEP = 0.49, 0.06
 # Weight of the prior that the search begins with, and its limits.
 _FIRST_WEIGHT, _LEAST_WEIGHT, _LARGEST_WEIGHT = 0.015, 1e-4, 1.0
 _HELD_OUT = 0.1
@@ -114,7 +122,7 @@ def estimate_psf_sigma(
             model = model_of(camera, window, views, sigma)
             parts[sigma] = equations_of(model, views, train), HeldOutPixels.of(model, views, test)
         residual = _held_out_residual(*parts[sigma], weight)
-        return residual + ((sigma - _EXPECTED[0]) / _EXPECTED[1]) ** 2 / n_judged
+        return residual + ((sigma - TYPICAL_SIGMA_LR_PX) / TYPICAL_SPREAD_LR_PX) ** 2 / n_judged
 
     def held_out(sigmas: list[float], weight: float) -> list[float]:
         new = [a for a in sigmas if (a, weight) not in scores]
@@ -129,7 +137,7 @@ def estimate_psf_sigma(
             around = [sigma + d for d in (-_STEP, 0.0, _STEP)]
             found = held_out(around, weight)
             best = int(np.argmin(found))
-            if best == 1 or not _RANGE[0] < around[best] < _RANGE[1]:
+            if best == 1 or not SEARCHED_LR_PX[0] < around[best] < SEARCHED_LR_PX[1]:
                 return found[1], sigma
             sigma = around[best]
 

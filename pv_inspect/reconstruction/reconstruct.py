@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +19,6 @@ from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
     mean_illumination,
-    observed,
 )
 from pv_inspect.reconstruction.accumulation import Accumulation
 from pv_inspect.reconstruction.cell_sight import sight_of
@@ -34,14 +32,11 @@ from pv_inspect.reconstruction.prior_weight import (
     typical_prior_weight,
     windows_of,
 )
-from pv_inspect.reconstruction.psf_estimation import (
-    TYPICAL_SIGMA_LR_PX,
-    estimate_psf_sigma,
-    window_of,
-)
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
+from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX
+from pv_inspect.reconstruction.psf_evidence import TYPICAL, estimate_psf
 from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
 from pv_inspect.reconstruction.sampling import between, of_more_than_one, sampling_of
-from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.reconstruction.support import FAINT, support_of
 from pv_inspect.registration.registration import Registration
@@ -53,12 +48,8 @@ __all__ = ["TYPICAL_SIGMA_LR_PX", "Progress", "reconstruct", "solve"]
 Image = NDArray[np.float32]
 
 
-# Frames that the first draft and the PSF are estimated from.
-_PSF_FRAMES = 20
 # Steps after which the solver is usually near its end; for the progress only.
 _TYPICAL_STEPS = 15.0
-# The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
-_PSF_MAGNIFICATION = 4.0
 # Solver steps to the module image that the sensor is judged by.
 _DRAFT_STEPS = 10
 # A finer one takes a third more steps for less than 0.05 dB.
@@ -117,12 +108,13 @@ def reconstruct(
         del first
         release()
     sampling = sampling_of(registration, sequence.shape)
-    sigma = settings.psf_sigma_lr_px
-    if sigma is None:
-        sigma = TYPICAL_SIGMA_LR_PX
-        if sampling:
-            found = yield from _estimate_psf(sequence, registration, photometry, rays, motion)
-            sigma = between(sigma, found, sampling)
+    psf = TYPICAL
+    if settings.psf_sigma_lr_px is not None:
+        psf = PsfEstimate(settings.psf_sigma_lr_px, 0.0, "given")
+    elif sampling:
+        psf = yield from estimate_psf(sequence, registration, photometry, rays, motion)
+        psf = replace(psf, sigma=between(TYPICAL_SIGMA_LR_PX, psf.sigma, sampling))
+    sigma = psf.sigma
     data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, draft)
     windows = windows_of(grid) if settings.prior_weight is None and sampling else []
     trials = yield from _all_added(data, used, windows, 0.4, 0.5)
@@ -138,7 +130,7 @@ def reconstruct(
     del trials  # of hundreds of frames more than the module image itself
     release()
     made = yield from solve(data, start, weight, settings)
-    return replace(made, lambda_curve=curve)
+    return replace(made, lambda_curve=curve, psf=psf)
 
 
 def solve(
@@ -278,37 +270,3 @@ def _choose_prior_weight(
             lambda share: Progress(0.5 + 0.1 * share, "choosing lambda from held-out pixels"),
         )
     )
-
-
-def _estimate_psf(
-    sequence: FrameSequence,
-    registration: Registration,
-    photometry: Photometry | None,
-    rays: SensorRays,
-    motion: NDArray[np.float64],
-) -> Generator[Progress, None, float]:
-    """Estimate the optical sigma on the part of the module with the most detail."""
-    grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, _PSF_MAGNIFICATION)
-    used = np.flatnonzero(registration.used)
-    if used.size > _PSF_FRAMES:
-        used = used[np.linspace(0, used.size - 1, _PSF_FRAMES).round().astype(int)]
-    camera, homographies = registration.camera, registration.homographies
-    # One frame, rectified, shows where detail is.
-    draft = bicubic(sequence, registration, grid, int(used[len(used) // 2]))
-    smooth = cv2.GaussianBlur(draft, (0, 0), max(grid.magnification / 2, 0.5))
-    del draft
-    window = window_of(grid, np.asarray(smooth, np.float32))
-    del smooth
-    yield Progress(0.25, "estimating the PSF")
-    views = []
-    for i in used:
-        g, weights = observed(sequence, registration, int(i), photometry)
-        grain = sequence.noise.grain_px
-        view = cut_view(camera, homographies[i], rays, window, g, weights, motion[i], grain)
-        if view is not None:
-            views.append(view)
-    if not views:
-        return TYPICAL_SIGMA_LR_PX
-    estimate = estimate_psf_sigma(camera, window, views)
-    told = "estimating the PSF"
-    return (yield from forwarded(estimate, lambda share: Progress(0.25 + 0.15 * share, told)))

@@ -11,6 +11,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.photometry.photometry import Photometry
 from pv_inspect.reconstruction.cell_sight import CellSight
 from pv_inspect.reconstruction.prior import PriorName
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 
 __all__ = ["NO_CURVE", "Curve", "Reconstruction", "brightness_of"]
 
@@ -65,6 +66,8 @@ class Reconstruction:
         What ``prior_weight`` is the weight of.
     sight : CellSight, optional
         How well every cell was seen; not in results of earlier versions.
+    psf : PsfEstimate, optional
+        How the optical blur is known; None in results that don't say.
     """
 
     image: Image
@@ -82,6 +85,7 @@ class Reconstruction:
     photometry: Photometry | None = None
     prior: PriorName = "sparse_curvature"
     sight: CellSight | None = None
+    psf: PsfEstimate | None = None
 
 
 def brightness_of(image: Image, grid: HrGrid) -> float:

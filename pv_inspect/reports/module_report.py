@@ -158,6 +158,7 @@ def _content(inspection: Inspection) -> dict[str, Any]:
             focal_length_source(registration.camera, sequence.shape, inspection.settings)
         ],
         "psf_sigma": reconstruction.psf_sigma_lr_px,
+        "psf_known": "" if reconstruction.psf is None else reconstruction.psf.words,
         "prior_weight": f"{reconstruction.prior_weight:.3g}",
         "lambda_plot": _lambda_plot(reconstruction.lambda_curve, reconstruction.prior_weight),
         "cracks": cracks,

@@ -23,6 +23,7 @@ from pv_inspect.image_files.stored import stored_floats, stored_shape
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.inspection.stored import StoredResult
 from pv_inspect.reconstruction.cell_sight import CellSight
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.results.folder import RESULT_JSON
@@ -102,6 +103,7 @@ def _read_result(folder: Path) -> Inspection:
         tuple((_known(weight), _known(error)) for weight, error in record.lambda_curve),
         prior=settings.prior,
         sight=_sight(cells, layout),
+        psf=_psf(record),
     )
     other = record.runner_up
     return Inspection(
@@ -127,6 +129,13 @@ def _read_result(folder: Path) -> Inspection:
         # With what an earlier version did not say.
         stored=StoredResult(folder, content),
     )
+
+
+def _psf(record: ResultRecord) -> PsfEstimate | None:
+    sigma, says = record.psf_sigma_lr_px, record.psf
+    if says is None or sigma is None:
+        return None
+    return PsfEstimate(sigma, says.error_lr_px, says.evidence, says.shape)
 
 
 def _registration(layout: ModuleLayout, camera: Camera, frames: list[FrameRecord]) -> Registration:

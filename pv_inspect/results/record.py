@@ -42,6 +42,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
             }
         )
     seconds = dict(inspection.seconds)
+    psf = reconstruction.psf
     record = {
         "format": ResultRecord.newest_format,
         **reconstruction.grid.to_dict(),
@@ -59,6 +60,9 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "settings": inspection.settings.model_dump(mode="json"),
         "prior_weight": reconstruction.prior_weight,
         "psf_sigma_lr_px": reconstruction.psf_sigma_lr_px,
+        "psf": None
+        if psf is None
+        else {"error_lr_px": psf.error, "evidence": psf.evidence, "shape": psf.shape},
         "solver": {
             "objective": reconstruction.objective,
             "iterations": reconstruction.iterations,

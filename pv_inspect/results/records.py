@@ -22,6 +22,7 @@ from pv_inspect.common.records import (
     Whole,
 )
 from pv_inspect.cracks import OperatingPoint
+from pv_inspect.reconstruction.psf_estimate import PsfEvidence, PsfShape
 from pv_inspect.settings import Settings
 
 __all__ = ["GeometryRecord", "ResultRecord", "settings_of"]
@@ -122,6 +123,14 @@ class VignettingRecord(Record):
     deviations: Annotated[tuple[Number, ...], Field(max_length=20)]
 
 
+class PsfRecord(Record):
+    """How the optical blur is known: `pv_inspect.reconstruction.psf_evidence.PsfEstimate`."""
+
+    error_lr_px: Annotated[float, Field(strict=True, ge=0, le=100)]
+    evidence: PsfEvidence
+    shape: PsfShape = "unknown"
+
+
 def settings_of(stored: dict[str, Any], file_format: int) -> Settings:
     """Return settings as a result folder keeps them.
 
@@ -164,6 +173,7 @@ class ResultRecord(StoredRecord):
     )
     prior_weight: _Open
     psf_sigma_lr_px: _Open
+    psf: PsfRecord | None = None
     solver: SolverRecord
     lambda_curve: tuple[_OpenPair, ...] = ()
     vignetting: VignettingRecord | None = None

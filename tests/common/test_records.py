@@ -16,6 +16,7 @@ import tifffile
 
 from pv_inspect.errors import LONGEST_SENTENCE, InspectionError
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.results.read import read_result
 from pv_inspect.results.resume import reopen, resume
 from pv_inspect.results.write import write_result
@@ -62,11 +63,20 @@ def test_a_result_without_a_lambda_curve_has_an_empty_one(
     assert reconstruction.lambda_curve == ()
 
 
+def test_how_well_the_blur_is_known_is_read_again(out: Path, inspection: Inspection) -> None:
+    says = {"error_lr_px": 0.02, "evidence": "borders", "shape": "disc"}
+    changed(out / "result.json", lambda record: record.update(psf=says))
+    reconstruction = resume(read_result(out), inspection.sequence).reconstruction
+    assert reconstruction is not None
+    sigma = reconstruction.psf_sigma_lr_px
+    assert reconstruction.psf == PsfEstimate(sigma, 0.02, "borders", "disc")
+
+
 def test_what_an_earlier_version_did_not_say_is_not_missed(
     out: Path, inspection: Inspection
 ) -> None:
     def change(record: dict[str, Any]) -> None:
-        for name in ("doubts", "crack_least_extent_cells", "source", "lambda_curve"):
+        for name in ("doubts", "crack_least_extent_cells", "source", "lambda_curve", "psf"):
             record.pop(name)
         for frame in record["frames"]:
             for name in ("edits", "residual", "motion_px_deg"):
@@ -112,6 +122,7 @@ def test_what_an_earlier_version_did_not_say_is_not_missed(
         (lambda r: r["settings"].update(prior_weight="x"), "prior_weight is 'x'"),
         (lambda r: r["settings"].update(more=1), "no setting 'more'"),
         (lambda r: r.pop("solver"), "solver is missing"),
+        (lambda r: r.update(psf={"error_lr_px": -1, "evidence": "given"}), "psf.error_lr_px is -1"),
         (lambda r: r.update(lambda_curve=[1]), "lambda_curve[0] is 1"),
         (lambda r: r.update(seconds={"load": "long"}), "seconds.load is 'long'"),
         (lambda r: r.update(warnings="all"), "warnings is 'all'"),

@@ -10,6 +10,7 @@ import pytest
 
 from pv_inspect.cracks import CellFeatures
 from pv_inspect.errors import InspectionError
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.reports.module_report import render_report
 from pv_inspect.settings import Settings
 from tests.handmade import FakeSequence, made_inspection, made_reconstruction
@@ -74,6 +75,14 @@ def test_the_page_says_what_an_expert_asks_first() -> None:
     assert "at a focal length of 100 px (found from the frames)" in text
     for name in Settings.model_fields:
         assert name in text
+
+
+def test_the_page_says_how_well_the_blur_is_known() -> None:
+    inspection = made_inspection()
+    assert inspection.reconstruction is not None
+    known = replace(inspection.reconstruction, psf=PsfEstimate(0.5, 0.013, "borders"))
+    text = " ".join(Reader(render_report(replace(inspection, reconstruction=known))).text.split())
+    assert "standard deviation, ± 0.01, from the borders of the cells." in text
 
 
 def test_the_table_of_cells_starts_with_the_longest_cracks() -> None:
