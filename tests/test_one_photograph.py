@@ -65,7 +65,8 @@ def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 def test_it_is_called_what_it_is(made: Inspection) -> None:
     assert made.need(Reconstruction).support.max() == 0.0
     assert made.warnings == (
-        "1 frame: the result is a rectified single frame, not a super-resolution.",
+        "1 frame: the result is a rectified single frame, not a super-resolution. Narrow or faint "
+        "cracks that more frames would show may be missing.",
     )
     first = summary(made, Path("out"), 1.0).splitlines()[len(made.doubts)]
     assert first == f"warning   {made.warnings[0]}"

@@ -249,7 +249,8 @@ def test_one_frame_works_and_is_called_no_super_resolution(stages: Stages) -> No
     stages.crossings, stages.registration = made_crossings(1), made_registration(1)
     result = inspect(FakeSequence(("one.tif",)))  # type: ignore[arg-type]
     assert result.warnings == (
-        "1 frame: the result is a rectified single frame, not a super-resolution.",
+        "1 frame: the result is a rectified single frame, not a super-resolution. Narrow or faint "
+        "cracks that more frames would show may be missing.",
     )
 
 

@@ -118,7 +118,10 @@ def no_super_resolution(registration: Registration, shape: tuple[int, int]) -> s
     used, total = int(registration.used.sum()), len(registration.used)
     if used == 1:
         which = "1 frame" if total == 1 else f"1 frame of {total} could be used"
-        return f"{which}: the result is a rectified single frame, not a super-resolution."
+        return (
+            f"{which}: the result is a rectified single frame, not a super-resolution. Narrow or "
+            "faint cracks that more frames would show may be missing."
+        )
     sampling = sampling_of(registration, shape)
     if sampling < STILL:
         return (
