@@ -186,8 +186,8 @@ def measure_edges(
 
     which is linear in L, R, G. The place with the most significant (L + R) / 2 - G > 0 is refined
     by Gauss-Newton. An outer edge is measured as a step alone: it lies half a gap inside of the
-    cell's pitch. Gaps that are wider than the usual ones have that much larger w; where their
-    sides are clearly apart, w is what is seen between them.
+    cell's pitch. Gaps that are wider than the usual ones have that much larger w; if it is all
+    gaps and their sides are clearly apart, w is what is seen between them.
     """
     groups = ((edges.gap == gap, float(gap)) for gap in np.unique(edges.gap))
     return EdgeOffsets.together(
@@ -232,7 +232,7 @@ def _measure_alike(
         inner = visible & edges.inner & (edges.normal[:, axis] == 1)
         if inner.any():
             shapes[axis] = best_shape(profiles[inner], x, search_px, wider)
-            if wider > SIDES_APART_PX:
+            if wider > SIDES_APART_PX and not edges.inner.all():
                 widths[axis] = width_between_sides(profiles[inner], x, search_px, wider)
                 shapes[axis] = shapes[axis].widened(widths[axis] - shapes[axis].width)
             place[inner], sigma[inner], found[inner] = fit_gaps(
@@ -327,7 +327,7 @@ def _measure_alike_robustly(
         if not along.any():
             continue
         shape = widened
-        if wider > SIDES_APART_PX:
+        if wider > SIDES_APART_PX and not edges.inner.all():
             typical = np.median(samples[along], axis=1)
             width = width_between_sides(typical, x, search * scale, wider)
             shape = widened.widened(width - widened.width)
