@@ -208,10 +208,11 @@ def _again(
 def _with_gap_between_all(image: NDArray[np.float32], seen: _Seen) -> _Seen:
     """Return the module with a gap between all cells if its lines are clearly so wide."""
     layout, pose = seen.layout, seen.found.pose
-    if any(layout.cell_gap):
+    # A wide gap somewhere explains the lines already; cells that lie apart do so both ways.
+    if layout != layout.plain:
         return seen
     gap = cell_gap_if_wide(image, layout, pose, search_units(layout, pose))
-    if not any(gap):
+    if not 0 < max(gap) <= 2 * min(gap):
         return seen
     with suppress(OutlineError, InspectionError):
         apart = _refined(image, _Seen(replace(layout, cell_gap=gap), seen.found))
