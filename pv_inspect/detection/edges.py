@@ -186,8 +186,8 @@ def measure_edges(
 
     which is linear in L, R, G. The place with the most significant (L + R) / 2 - G > 0 is refined
     by Gauss-Newton. An outer edge is measured as a step alone: it lies half a gap inside of the
-    cell's pitch. Gaps that are wider than the usual ones have that much larger w; if it is all
-    gaps and their sides are clearly apart, w is what is seen between them.
+    cell's pitch. Gaps that are wider than the usual ones have that much larger w. Where all gaps
+    are, and their sides are clearly apart, w is what is seen between the sides.
     """
     groups = ((edges.gap == gap, float(gap)) for gap in np.unique(edges.gap))
     return EdgeOffsets.together(
