@@ -61,7 +61,7 @@ def small_sequence(tmp_path_factory: pytest.TempPathFactory) -> tuple[SimulatedS
 def quick_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of eight frames of 3 x 5 cells, 180 x 120 px, for what runs all stages.
 
-    Its cells are clean, suspected and dark; in every second frame alone some can't be judged.
+    Its cells are clean, suspected and dark; of every second frame alone none can be judged.
     """
     settings = SimulationSettings(
         seed=6,
