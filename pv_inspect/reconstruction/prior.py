@@ -150,10 +150,6 @@ class SparseCurvature:
         p = self.exponent
         return float((u2 ** (p / 2) - self.smoothing**p).sum() / p)
 
-    def gradient(self, image: Image) -> Image:
-        """Return d R / d f, (height, width)."""
-        return self.majoriser(image).apply(image)
-
     def majoriser(self, image: Image, factor: float = 1.0) -> Curvature:
         """Quadratic f' L f / 2 that touches ``factor * R`` at the image up to a constant.
 

@@ -65,27 +65,19 @@ class Btv:
 
     def objective(self, image: Image) -> float:
         """R(f), summed in float64."""
-        return float(_btv(image, self._weights, *self._numbers).sum())
-
-    def gradient(self, image: Image) -> Image:
-        """Return d R / d f, (height, width)."""
-        return self.majoriser(image).apply(image)
+        return float(_btv(image, _decay(self.alpha), *self._numbers).sum())
 
     def majoriser(self, image: Image, factor: float = 1.0) -> Stencil:
         """Quadratic f' L f / 2 that touches ``factor * R``; see `WeightedBtv.majoriser`."""
         height, width = image.shape
         out = Stencil.zeros((height, width), image.dtype.type)
-        _edges(image, factor / self.contrast**2 * self._weights, *self._numbers, out.planes)
+        _edges(image, factor / self.contrast**2 * _decay(self.alpha), *self._numbers, out.planes)
         _degrees(out.planes)
         return out
 
     def continued(self, _image: Image, _rounds: int, /) -> Self:
         """Return itself."""
         return self
-
-    @property
-    def _weights(self) -> NDArray[np.float64]:
-        return _decay(self.alpha)
 
     @property
     def _numbers(self) -> tuple[float, float, float]:
@@ -138,10 +130,6 @@ class WeightedBtv:
     def objective(self, image: Image) -> float:
         """R(f), summed in float64."""
         return float(_weighted_btv(image, _decay(self.alpha), *self._numbers).sum())
-
-    def gradient(self, image: Image) -> Image:
-        """Return d R / d f, (height, width)."""
-        return self.majoriser(image).apply(image)
 
     def majoriser(self, image: Image, factor: float = 1.0) -> Stencil:
         """Quadratic f' L f / 2 that touches ``factor * R`` at the image up to a constant.

@@ -31,6 +31,11 @@ def image(seed: int = 0, shape: tuple[int, int] = (9, 11)) -> np.ndarray:
     return np.random.default_rng(seed).normal(0.0, 0.4, shape)
 
 
+def gradient(prior: AnyPrior, f: np.ndarray) -> np.ndarray:
+    """What the majoriser says of d R / d f at the image that it touches R at."""
+    return prior.majoriser(f).apply(f)
+
+
 @pytest.mark.parametrize("prior", PRIORS)
 def test_gradient_is_the_derivative_of_the_objective(
     prior: AnyPrior,
@@ -42,7 +47,7 @@ def test_gradient_is_the_derivative_of_the_objective(
         e[index] = step
         numerical[index] = (prior.objective(f + e) - prior.objective(f - e)) / (2 * step)
     scale = np.abs(numerical).max()
-    np.testing.assert_allclose(prior.gradient(f), numerical, rtol=1e-5, atol=1e-7 * scale)
+    np.testing.assert_allclose(gradient(prior, f), numerical, rtol=1e-5, atol=1e-7 * scale)
 
 
 @pytest.mark.parametrize("prior", PRIORS)
@@ -67,7 +72,7 @@ def test_constant_images_cost_nothing_and_slopes_cost_the_curvature_prior_nothin
     slope = 0.1 * x - 0.05 * y
     for f in (flat, slope) if isinstance(prior, SparseCurvature) else (flat,):
         assert prior.objective(f) == pytest.approx(0.0, abs=1e-10)
-        np.testing.assert_allclose(prior.gradient(f), 0.0, atol=1e-10)
+        np.testing.assert_allclose(gradient(prior, f), 0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize("prior", PRIORS)
@@ -100,7 +105,7 @@ def test_weighted_btv_without_a_threshold_is_btv_on_one_shift() -> None:
     f = image(shape=(1, 2))
     plain, weighted = Btv(0.2, alpha=1.0, smoothing=1.0), WeightedBtv(0.2, alpha=1.0)
     assert weighted.objective(f) == pytest.approx(plain.objective(f))
-    np.testing.assert_allclose(weighted.gradient(f), plain.gradient(f))
+    np.testing.assert_allclose(gradient(weighted, f), gradient(plain, f))
 
 
 def test_weighted_btv_counts_differences_over_the_threshold_for_less() -> None:
@@ -108,7 +113,7 @@ def test_weighted_btv_counts_differences_over_the_threshold_for_less() -> None:
     prior = WeightedBtv(1.0, alpha=1.0, smoothing=1e-6, threshold=2.0)
     cost = [prior.objective(np.array([[0.0, z]])) for z in (1.0, 2.0, 8.0, 32.0)]
     np.testing.assert_allclose(cost, [1.0, 2.0, 4.0, 8.0], rtol=1e-5)
-    pull = [prior.gradient(np.array([[0.0, z]]))[0, 1] for z in (1.0, 8.0, 32.0)]
+    pull = [gradient(prior, np.array([[0.0, z]]))[0, 1] for z in (1.0, 8.0, 32.0)]
     np.testing.assert_allclose(pull, [1.0, 0.25, 0.125], rtol=1e-5)
 
 
