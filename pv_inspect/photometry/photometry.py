@@ -7,7 +7,7 @@ registration knows gain_i and offset_i, a first module image tells the rest.
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,12 +18,14 @@ from pv_inspect.observation.model import ObservationModel
 from pv_inspect.photometry.fixed_pattern import columns_of_frames, fixed_columns, pixel_gains
 from pv_inspect.photometry.residual_sums import ResidualSums, halves_along
 from pv_inspect.photometry.vignetting import Vignetting, estimate_vignetting
+from pv_inspect.registration.light_falloff import falloff_of_parts
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = [
     "Photometry",
     "estimate_photometry",
+    "falloff_alone",
     "huber_weights",
     "mean_illumination",
     "observed",
@@ -79,6 +81,25 @@ class Photometry:
             Vignetting(),
             np.ones(shape),
         )
+
+
+def falloff_alone(sequence: FrameSequence, registration: Registration) -> Photometry | None:
+    """Return what the registration took out of frames that show different parts; None if nothing.
+
+    Parameters
+    ----------
+    sequence : FrameSequence
+    registration : Registration
+    """
+    found = falloff_of_parts(sequence, registration)
+    if found is None:
+        return None
+    light = found.illumination(registration.camera, sequence.shape)
+    ideal = Photometry.ideal(len(sequence), sequence.shape)
+    vignetting = Vignetting(found.coefficients, found.deviations)
+    return replace(
+        ideal, response=light.astype(np.float32), vignetting=vignetting, illumination=light
+    )
 
 
 def observed(
@@ -163,6 +184,7 @@ def estimate_photometry(
     model: ObservationModel,
     image: NDArray[np.floating],
     motion: Array,
+    known: Photometry | None = None,
 ) -> Generator[float, None, Photometry]:
     """Find the pattern and the vignetting of the sensor.
 
@@ -175,6 +197,8 @@ def estimate_photometry(
         A first HR image of the module, made without knowing them.
     motion : (n_frames, 2) float64
         Path of every frame during its exposure, LR px.
+    known : Photometry, optional
+        What the image was made with; an ideal sensor if not given.
 
     Yields
     ------
@@ -184,10 +208,10 @@ def estimate_photometry(
     Returns
     -------
     Photometry
-        An ideal sensor as far as motion doesn't tell it from the scene.
+        What was known, an ideal sensor else, as far as motion doesn't tell it from the scene.
     """
     used = np.flatnonzero(registration.used)
-    ideal = Photometry.ideal(len(sequence), sequence.shape)
+    ideal = known or Photometry.ideal(len(sequence), sequence.shape)
     if used.size < _LEAST_FRAMES:
         return ideal
     places = np.array([np.nanmean(registration.crossings_px(int(i)), axis=0) for i in used])
@@ -200,8 +224,9 @@ def estimate_photometry(
     sums = ResidualSums.empty(used.size, sequence.shape)
     blurred = model.blur.apply(image)
     for k, i in enumerate(used):
-        g, weights = observed(sequence, registration, int(i))
-        gain = np.float32(registration.gain[i])
+        g, weights = observed(sequence, registration, int(i), known)
+        of_frame = np.float32(registration.gain[i])
+        gain = of_frame if known is None else of_frame * known.response
         seen = np.asarray(
             model.frame(registration.homographies[i], motion[i]).sample(blurred), np.float32
         )
@@ -224,20 +249,38 @@ def estimate_photometry(
     vignetting = estimate_vignetting(
         sums, registration.camera, registration.homographies[used], sequence.shape
     )
+    if known is not None:
+        vignetting = known.vignetting.and_further(vignetting)
     illumination = vignetting.illumination(registration.camera, sequence.shape)
     offsets = ideal.offsets.copy()
-    offsets[used] = columns
+    offsets[used] += columns
     response = (illumination * (1.0 + gains)).astype(np.float32)
     return Photometry(response, offsets, vignetting, illumination)
 
 
 def mean_illumination(
-    photometry: Photometry, registration: Registration, model: ObservationModel
+    photometry: Photometry,
+    registration: Registration,
+    model: ObservationModel,
+    known: Photometry | None = None,
 ) -> Image:
-    """Mean vignetting over the frames on the HR grid: what an image made without it has in it."""
+    """Mean vignetting over the frames on the HR grid: what an image made without it has in it.
+
+    Parameters
+    ----------
+    photometry : Photometry
+    registration : Registration
+    model : ObservationModel
+    known : Photometry, optional
+        What the image was made with, if not with an ideal sensor.
+    """
     height, width = model.grid.shape
-    if not photometry.vignetting.coefficients:
+    had = Vignetting() if known is None else known.vignetting
+    if photometry.vignetting == had:
         return np.ones((height, width), np.float32)
+    illumination = photometry.illumination
+    if known is not None:
+        illumination = illumination / known.illumination
     y = np.linspace(0, height - 1, height // _COARSE + 2)
     x = np.linspace(0, width - 1, width // _COARSE + 2)
     points = model.grid.to_module(np.stack(np.meshgrid(x, y), axis=-1))
@@ -247,7 +290,7 @@ def mean_illumination(
         px = registration.camera.project(registration.homographies[i], points)
         px = np.nan_to_num(px, nan=-1.0).astype(np.float32)
         total += cv2.remap(
-            photometry.illumination.astype(np.float32),
+            illumination.astype(np.float32),
             px[..., 0],
             px[..., 1],
             cv2.INTER_LINEAR,

@@ -55,6 +55,19 @@ class Vignetting:
     coefficients: tuple[float, ...] = ()
     deviations: tuple[float, ...] = ()
 
+    def and_further(self, further: Vignetting) -> Vignetting:
+        """Return both in one: the further one is what an image made with this one still tells."""
+        if not further.coefficients:
+            return self
+        terms = max(len(self.coefficients), len(further.coefficients))
+        both = np.zeros(terms)
+        both[: len(self.coefficients)] += self.coefficients
+        both[: len(further.coefficients)] += further.coefficients
+        known = np.zeros(terms)
+        known[: len(self.deviations)] = self.deviations
+        known[: len(further.deviations)] = further.deviations
+        return Vignetting(tuple(both.tolist()), tuple(known.tolist()))
+
     def illumination(self, camera: Camera, shape: tuple[int, int]) -> Array:
         """V at every pixel of a sensor, (height, width) float64; 1 at the principal point."""
         y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)

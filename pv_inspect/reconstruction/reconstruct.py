@@ -18,6 +18,7 @@ from pv_inspect.observation.stencil import Quadratic
 from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
+    falloff_alone,
     mean_illumination,
 )
 from pv_inspect.reconstruction.accumulation import Accumulation
@@ -99,11 +100,11 @@ def reconstruct(
         yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
     require_memory(sequence.shape, int(used.size), grid, motion)
-    photometry: Photometry | None = None
+    photometry = falloff_alone(sequence, registration)
     draft: Image | None = None
     if settings.second_pass:
         assumed = values_in_use(settings).psf_sigma_lr_px
-        first = Accumulation.begin(sequence, registration, grid, rays, assumed, motion)
+        first = Accumulation.begin(sequence, registration, grid, rays, assumed, motion, photometry)
         photometry, draft = yield from _draft(first, used, settings)
         del first
         release()
@@ -245,11 +246,12 @@ def _draft(
     for step, state in enumerate(minimise(problem, start, _DRAFT_STEPS)):
         draft = np.asarray(state.image, np.float32)
         yield Progress(0.12 + 0.08 * step / _DRAFT_STEPS, "a first image of the module", draft)
-    steps = estimate_photometry(data.sequence, registration, model, draft, data.motion)
+    known = data.photometry
+    steps = estimate_photometry(data.sequence, registration, model, draft, data.motion, known)
     photometry = yield from forwarded(
         steps, lambda share: Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
     )
-    return photometry, draft / mean_illumination(photometry, registration, model)
+    return photometry, draft / mean_illumination(photometry, registration, model, known)
 
 
 def _need_pixels(data: Accumulation) -> None:

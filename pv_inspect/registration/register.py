@@ -22,6 +22,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.memory import release
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
+from pv_inspect.registration.light_falloff import evenly_lit
 from pv_inspect.registration.module_mean import blur, detail_correlation, indices, module_mean
 from pv_inspect.registration.registration import Registration, normalised, unregistered
 from pv_inspect.registration.straightening import straighten
@@ -57,6 +58,7 @@ ROUNDS = (
     _Round(0.0, 1, 2, 2.0),
 )
 """Coarse to fine: the first round catches errors of a few pixels, the last polishes."""
+COARSE_ROUNDS = 2
 STRAIGHTENING_MAGNIFICATION = 3.0
 LEFT_OUT = "left out as the settings say"
 NOT_CONVERGED = "registration did not converge"
@@ -107,6 +109,10 @@ def register(
     are straight and evenly spaced, are therefore measured and the camera is fitted again; in the
     end the homography common to all frames is chosen so that the crossing points stay where this
     fit has them.
+
+    Where frames show different parts of the module, the fall-off of the light is told from them
+    after the coarse rounds and taken out of the frames: gains and offsets are those of frames
+    without it then (see `pv_inspect.registration.light_falloff`).
     """
     choice = choose_module(sequence, calibration, settings)
     calibration = choice.of_calibration(calibration)
@@ -123,6 +129,8 @@ def register(
     done = 0
     for number, plan in enumerate(ROUNDS):
         release()
+        if number == COARSE_ROUNDS:
+            sequence, state = evenly_lit(sequence, state)
         if number == len(ROUNDS) - 1:
             free = settings.kappa is None and settings.calibration_file is None
             slack = KAPPA_SLACK * calibration.kappa_std if free else 0.0
