@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cells import CellTiles
 from pv_inspect.common.work import Progress
+from pv_inspect.cracks.areas import usual_brightness
 from pv_inspect.cracks.blocks import cut_off_blocks
 from pv_inspect.cracks.completion import completed
 from pv_inspect.cracks.counts import CellCounts, CellState, look_at_first, state_of
@@ -176,7 +177,7 @@ def read_cracks(
     point = operating_point_of(detector, settings)
     images = tiles.images
     rows, cols = images.shape[:2]
-    usual = float(np.median(images))
+    usual = usual_brightness(images)
     maps = np.zeros_like(images, dtype=np.float32)
     blocks = np.zeros(images.shape, bool)
     width = tiles.grid.pixels_per_unit

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from pv_inspect.cracks.centreline import length_of
 from pv_inspect.cracks.isolation import Busbars, isolated_share
 
-__all__ = ["UNSUPPORTED", "dark_shares", "isolated", "support_on", "unsupported_share"]
+__all__ = [
+    "UNSUPPORTED",
+    "dark_shares",
+    "isolated",
+    "support_on",
+    "unsupported_share",
+    "usual_brightness",
+]
 
 # The cell's edge belongs to the gap between cells, and thin dark lines are no dark area.
 _BORDER_CELLS = 0.04
@@ -87,6 +94,25 @@ def isolated(
     known = bool(cut.any() and rest.any())
     brightness = tile[cut].mean() / max(float(tile[rest].mean()), 1e-9) if known else math.nan
     return float(share.mean(dtype=np.float64)), float(brightness)
+
+
+def usual_brightness(images: NDArray[np.float32]) -> float:
+    """Brightness of the cells of a module that work: the median over them.
+
+    A cell works if its median is at least half of what nine tenths of the cells do not exceed. So
+    dead cells are dark even where they are the majority.
+
+    Parameters
+    ----------
+    images : (..., h, w) float32
+        All cells.
+
+    Returns
+    -------
+    float
+    """
+    level = np.median(images, axis=(-2, -1))
+    return float(np.median(images[level >= _DARK_LEVEL * np.percentile(level, 90)]))
 
 
 def dark_shares(

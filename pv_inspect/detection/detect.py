@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.crossings import Crossings, FrameCrossings
+from pv_inspect.detection.dim_cells import module_with_dim_cells
 from pv_inspect.detection.filled_frame import module_to_the_edge
 from pv_inspect.detection.joined_views import SHOWN_TOGETHER
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
@@ -259,6 +260,10 @@ def _outcome(
         reason = error
     with suppress(OutlineError):
         return _unless_better(image, layout, module_to_the_edge(image, layout, inside), inside)
+    if not isinstance(reason, GridFaultError):
+        with suppress(OutlineError):
+            found = module_with_dim_cells(image, layout, inside)
+            return _unless_better(image, layout, found, inside)
     if not ask:
         return reason
     seen = seen_layout(image, layout, inside)

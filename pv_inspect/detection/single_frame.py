@@ -165,6 +165,7 @@ def find_module(
     image: NDArray[np.float32],
     layout: ModuleLayout,
     inside: tuple[float, float] | None = None,
+    outlined: NDArray[np.float32] | None = None,
 ) -> Found:
     """Find the module in one frame from its outline.
 
@@ -174,6 +175,8 @@ def find_module(
     layout : ModuleLayout
     inside : tuple of float, optional
         (x, y) of a point in the wanted module, LR pixels.
+    outlined : (height, width) float32, optional
+        What the outline is taken from; the image if not given.
 
     Returns
     -------
@@ -186,14 +189,15 @@ def find_module(
         If the frame shows no whole module of that layout.
     """
     reason: OutlineError | None = None
-    for outline in complete_outlines(image, inside):
+    outlined = image if outlined is None else outlined
+    for outline in complete_outlines(outlined, inside):
         try:
             found = found_in_outline(image, layout, outline)
         except OutlineError as error:
             reason = reason or error
             continue
         if inside is None:
-            _refuse_a_second(image, layout, found)
+            _refuse_a_second(image, outlined, layout, found)
         return found
     raise reason or OutlineError("no module")
 
@@ -267,7 +271,9 @@ def found_in_outline(
     raise first or OutlineError("no module")
 
 
-def _refuse_a_second(image: NDArray[np.float32], layout: ModuleLayout, found: Found) -> None:
+def _refuse_a_second(
+    image: NDArray[np.float32], outlined: NDArray[np.float32], layout: ModuleLayout, found: Found
+) -> None:
     """Raise if the frame shows a module on its other side that is as near to the centre."""
     height, width = image.shape
     centre = np.array([width / 2, height / 2])
@@ -277,7 +283,7 @@ def _refuse_a_second(image: NDArray[np.float32], layout: ModuleLayout, found: Fo
     if np.all((middle > 0) & (middle < layout.size)):
         return
     opposite = 2 * centre - at
-    for outline in find_outlines(image, (float(opposite[0]), float(opposite[1]))):
+    for outline in find_outlines(outlined, (float(opposite[0]), float(opposite[1]))):
         corners = outline.corners_px
         other = corners.mean(axis=0)
         away = float(np.linalg.norm(other - opposite) / np.linalg.norm(at - centre))

@@ -17,6 +17,7 @@ from pv_inspect.cracks import (
     CrackMap,
     measure_cell,
 )
+from pv_inspect.cracks.areas import usual_brightness
 from pv_inspect.cracks.isolation import Busbars, busbars_from_image, busbars_from_map
 from pv_inspect.errors import InspectionError
 from pv_inspect.inspection.inspection import Inspection
@@ -38,7 +39,7 @@ class Measure:
     cell_width_px : float
         HR pixels per cell width.
     usual_intensity : float
-        Median intensity of the cells of the module.
+        Median brightness of the cells that work (`pv_inspect.cracks.areas.usual_brightness`).
     busbars : Busbars or None
         Without them nothing is said about isolated areas.
     cell_width_mm : float or None
@@ -99,7 +100,7 @@ class Measure:
             busbars = busbars_from_map(detector.read(mean)[1])
         else:
             busbars = busbars_from_image(mean)
-        return cls(threshold, cell_width_px, float(np.median(tiles)), busbars, cell_width_mm)
+        return cls(threshold, cell_width_px, usual_brightness(tiles), busbars, cell_width_mm)
 
 
 def measured(

@@ -93,3 +93,13 @@ def test_noise_in_a_dead_cell_is_no_crack() -> None:
     assert dead.dark
     assert not dead.crack_suspected
     assert found.probability[tiles.grid.cell_slices(1, 1)].max() < 0.3
+
+
+def test_dead_cells_are_dark_even_where_they_are_the_majority() -> None:
+    tiles = cut_cells(made_reconstruction())
+    images = tiles.images.copy()
+    dead = [cell for cell in np.ndindex(images.shape[:2]) if cell not in {(0, 0), (1, 0)}]
+    for cell in dead:
+        images[cell] *= 0.35
+    _, found = drained(read_cracks(replace(tiles, images=images), Settings(detector="ridge")))
+    assert [(cell.row, cell.col) for cell in found.cells if cell.dark] == dead

@@ -15,6 +15,8 @@ from pv_inspect.common.work import result_of
 from pv_inspect.detection.crossings import Crossings, FrameCrossings, _side_shifts
 from pv_inspect.detection.detect import detect
 from pv_inspect.detection.edges import EdgeOffsets, cell_edges
+from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.single_frame import find_module
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.sequence import FrameSequence
@@ -278,6 +280,32 @@ def test_dead_cells_in_a_corner_do_not_hide_the_module(
     crossings = _finish(detect(_in_memory([frame]), ModuleLayout(4, 6)))
     assert crossings.frames[0].why == ""
     assert _rmse(crossings, simulation, 0) < 0.5
+
+
+@pytest.fixture(scope="module")
+def half_dead() -> SimulatedSequence:
+    """One frame of 5 x 8 cells of which about half are nearly dead."""
+    size = {"width": 320, "height": 240, "pixels_per_unit": 120, "supersampling": 3}
+    return simulated(
+        SimulationSettings(seed=6, rows=5, cols=8, dark_cell_share=0.5, n_frames=1, **size)
+    )
+
+
+def test_a_module_of_half_dead_cells_is_found(half_dead: SimulatedSequence) -> None:
+    frames = _floats(half_dead)
+    with pytest.raises(OutlineError):
+        find_module(frames[0], ModuleLayout(5, 8))
+    crossings = _finish(detect(_in_memory(frames), ModuleLayout(5, 8)))
+    assert crossings.frames[0].why == ""
+    assert _rmse(crossings, half_dead, 0) < 0.5
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(6, 8), (5, 7)])
+def test_a_row_or_column_more_or_less_is_refused_where_half_of_the_cells_are_dead(
+    half_dead: SimulatedSequence, rows: int, cols: int
+) -> None:
+    with pytest.raises(InspectionError):
+        _finish(detect(_in_memory(_floats(half_dead)), ModuleLayout(rows, cols)))
 
 
 def test_outer_edges_that_are_not_seen_follow_their_side() -> None:
