@@ -35,7 +35,10 @@ _MEANING = {
         "detector has learnt."
     ),
     CellState.DARK: "Dark as a whole: its cracks are not judged.",
-    CellState.CLEAN: "No mark that a crack could have made, and the frames would have shown one.",
+    CellState.CLEAN: (
+        "No mark that a crack could have made; the frames would have shown a crack like those that "
+        "the detector has learnt. Fainter or narrower ones (hair cracks) can be missed."
+    ),
 }
 
 
@@ -145,7 +148,8 @@ class CellCounts:
     def text(self) -> str:
         """All counts in one line, what was not judged first; no full stop.
 
-        Only where every cell was judged and none is suspected it says that no cracks are suspected.
+        Only where every cell was judged and none is suspected it says that no cracks are suspected,
+        and that hair cracks can be missed all the same.
         """
         if not self.total:
             return "no cells"
@@ -159,7 +163,7 @@ class CellCounts:
             of_all = f"{self.suspected} of {self.total} {cells}"
             return f"cracks suspected in {of_all}, {self.clean} clean"
         all_clean = "the cell is clean" if self.total == 1 else f"all {self.total} cells are clean"
-        return f"no cracks are suspected: {all_clean}"
+        return f"no cracks are suspected: {all_clean} (hair cracks can be missed)"
 
 
 _RANK = {state: rank for rank, state in enumerate(CellState)}

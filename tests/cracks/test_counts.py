@@ -40,8 +40,14 @@ def test_a_cell_that_cant_be_judged_is_never_counted_as_suspected_or_clean() -> 
     ("counts", "text"),
     [
         (CellCounts(12, 48, 0, 0), "cracks suspected in 12 of 60 cells, 48 clean"),
-        (CellCounts(0, 60, 0, 0), "no cracks are suspected: all 60 cells are clean"),
-        (CellCounts(0, 1, 0, 0), "no cracks are suspected: the cell is clean"),
+        (
+            CellCounts(0, 60, 0, 0),
+            "no cracks are suspected: all 60 cells are clean (hair cracks can be missed)",
+        ),
+        (
+            CellCounts(0, 1, 0, 0),
+            "no cracks are suspected: the cell is clean (hair cracks can be missed)",
+        ),
         (
             CellCounts(0, 0, 60, 0),
             "60 of 60 cells can't be judged from these frames: none suspected, none clean",
