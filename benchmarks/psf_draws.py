@@ -21,6 +21,9 @@ __all__ = ["drawn", "drawn_folder"]
 # (rows, cols, cell width / cell height): about 50 LR px per cell, as in sequences of 640 x 512 px.
 LAYOUTS = ((4, 6, 1.0), (4, 5, 1.0), (3, 5, 1.0), (8, 5, 2.0), (4, 7, 1.0))
 
+SOFTEST = 0.0055
+"""Largest blur of a scene, cell widths: 0.3 LR px."""
+
 
 def drawn(seed: int) -> SimulationSettings:
     """Draw a camera, a module and a flight.
@@ -67,6 +70,11 @@ def drawn(seed: int) -> SimulationSettings:
         "flicker": rng.uniform(0.01, 0.07),
         "column_gain": float(np.exp(rng.uniform(np.log(0.001), np.log(0.008)))),
     }
+    # Half of the scenes are soft, as the photographs of cells are that scenes are made from. A
+    # generator of its own: the others stay what they were without soft ones.
+    soft = np.random.default_rng([seed, 16])
+    if soft.random() < 0.5:
+        values["scene_blur"] = soft.uniform(0.0, SOFTEST)
     # A full well of few electrons comes with a small pattern.
     values["column_offset_e"] = values["full_well_e"] * rng.uniform(0.001, 0.007)
     return SimulationSettings(**values)
