@@ -34,6 +34,7 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
     """
     reconstruction, used = inspection.need(Reconstruction), inspection.need(Registration).used
     unused = left_out(inspection)
+    sigma, psf = reconstruction.psf_sigma_lr_px, reconstruction.psf
     told = [not_used_sentence(*frame) for frame in unused]
     height, width = reconstruction.image.shape
     plain = no_super_resolution(inspection.need(Registration), inspection.frames.shape)
@@ -46,6 +47,7 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
         *(f"  not used: {name}: {why}" for name, why in unused),
         f"residual  {median_text(reconstruction.residual_rms)} ({RESIDUAL_MEANING})",
         f"module    {width} x {height} px, {reconstruction.grid.magnification:.2f}x",
+        *([f"PSF       {sigma:.2f} LR px{psf.words}"] if psf else []),
         *(f"warning   {text}" for text in inspection.warnings if text not in told),
         f"results   {out}",
         f"report    {out / 'report.html'}",

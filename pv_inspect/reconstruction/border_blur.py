@@ -2,6 +2,7 @@
 
 Every frame and axis has its own second moment of blur: that of the optics and that of its motion
 along the axis, which is never negative. The optics are what the sharpest of them have in common.
+What blur is left in the module image is measured by `pv_inspect.reconstruction.image_blur`.
 """
 
 from __future__ import annotations
@@ -10,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr
 
 from pv_inspect.observation.psf import footprint_variance_lr_px2
-from pv_inspect.reconstruction.edge_fit import EdgeFit, Shape, fit_edges
-from pv_inspect.reconstruction.edge_profiles import (
+from pv_inspect.reconstruction.border_fit import BorderFit, Shape, fit_borders
+from pv_inspect.reconstruction.border_profiles import (
     BINS,
-    EdgeProfiles,
+    BorderProfiles,
+    border_profiles,
     clean_reach,
-    edge_profiles,
 )
-from pv_inspect.reconstruction.edge_samples import REACH_LR_PX, EdgeSamples
+from pv_inspect.reconstruction.border_samples import REACH_LR_PX, BorderSamples
+from pv_inspect.reconstruction.optics_and_motion import common_moment, contradicted_frames
 
-__all__ = ["EdgeBlur", "blur_of_edges", "common_moment"]
+__all__ = ["BorderBlur", "blur_of_borders"]
 
 Array = NDArray[np.float64]
 
@@ -31,27 +32,18 @@ Array = NDArray[np.float64]
 _LEVEL_FROM, _LEVEL_LIMITS, _LEVEL_SIGMAS = 2.1, (1.7, 2.9), 2.6
 # The level is read over this length, and over no less, LR px.
 _LEVEL_LENGTH, _LEAST_LENGTH = 2.2, 0.9
-# Frames that moved so far along an axis say nothing of the optics, LR px.
-_FAR_MOTION = 2.0
 # Profiles with a second moment of this much more than the sharpest are blurred by motion, LR px^2.
 _BLURRED = 0.12
 _LEAST_SAMPLES, _LEAST_PAIRS = 400, 3
-# Error of one second moment beyond its statistics, LR px^2, and of an estimated motion, LR px.
-_MOMENT_ERROR, _MOTION_ERROR = 0.005, 0.25
-# Share of the motions that are none.
-_FALSE_MOTION = 0.2
 # Difference of the costs by which one shape is told from the other.
 _TELLING = 10.0
 # Floor of the error: softness of the borders themselves [LR px^2], and a share of sigma. From the
 # training seeds of `benchmarks/psf_truth.py`.
 _SOFTNESS_ERROR, _RELATIVE_ERROR = 0.008, 0.02
-# Candidates: second moment of the optics and mean of that of the motion, LR px^2.
-_MOMENTS = np.linspace(0.02, 1.5, 593)
-_MOTIONS = np.geomspace(0.001, 0.3, 25)
 
 
 @dataclass(frozen=True)
-class EdgeBlur:
+class BorderBlur:
     """What the borders of cells say of the optics.
 
     Parameters
@@ -63,47 +55,48 @@ class EdgeBlur:
     shape : {"gaussian", "disc"}
     told : float
         How much better the shape fits than the other, -2 log likelihood.
+    still : tuple of int
+        Places in the list of frames of those that did not move, though a motion was found.
     """
 
     sigma: float
     error: float
     shape: Shape
     told: float
+    still: tuple[int, ...] = ()
 
 
-def blur_of_edges(samples: EdgeSamples) -> EdgeBlur | None:
+def blur_of_borders(samples: BorderSamples, lengths: Array) -> BorderBlur | None:
     """Estimate the optical blur.
 
     Parameters
     ----------
-    samples : EdgeSamples
+    samples : BorderSamples
+    lengths : (n_frames,) float64
+        Path of every frame during its exposure, LR px; 0 where no motion was found.
 
     Returns
     -------
-    EdgeBlur, or None if the borders can't be read: too few of them, or busbars too close to them.
+    BorderBlur, or None if the borders can't be read: too few of them, or busbars too close to them.
     """
     if len(samples) < _LEAST_SAMPLES:
         return None
-    start = _LEVEL_FROM
-    profiles = _readable(samples, start)
+    profiles = _readable(samples, _LEVEL_FROM)
     if profiles is None:
         return None
-    first = fit_edges(profiles, "gaussian")
-    profiles = _sharp(profiles, first)
-    moment = float(np.partition(first.moments, _LEAST_PAIRS - 1)[_LEAST_PAIRS - 1])
-    spread = np.sqrt(footprint_variance_lr_px2(np.sqrt(moment)))
-    start = float(np.clip(first.gap / 2 + _LEVEL_SIGMAS * spread, *_LEVEL_LIMITS))
-    again = _readable(samples, start)
-    if again is not None:
-        again = again.picked(np.isin(again.pair, profiles.pair))
-        profiles = again if len(np.unique(again.pair)) >= _LEAST_PAIRS else profiles
-    fits: dict[Shape, EdgeFit] = {
-        "gaussian": fit_edges(profiles, "gaussian"),
-        "disc": fit_edges(profiles, "disc"),
-    }
-    motion = np.array(
-        [profiles.motion[profiles.pair == pair].mean() for pair in np.unique(profiles.pair)]
+    first = fit_borders(profiles, "gaussian")
+    still = contradicted_frames(
+        first.pairs, first.moments, first.covariance, _motion_of(profiles), lengths
     )
+    samples = samples.still(still)
+    profiles = _sharp(samples, first)
+    if profiles is None:
+        return None
+    fits: dict[Shape, BorderFit] = {
+        "gaussian": fit_borders(profiles, "gaussian"),
+        "disc": fit_borders(profiles, "disc"),
+    }
+    motion = _motion_of(profiles)
     told = fits["gaussian"].cost - fits["disc"].cost
     share = 1.0 / (1.0 + np.exp(-np.clip(told / _TELLING, -50.0, 50.0)))
     shape: Shape = "disc" if share > 0.5 else "gaussian"
@@ -115,63 +108,41 @@ def blur_of_edges(samples: EdgeSamples) -> EdgeBlur | None:
     misfit = max(fits[shape].misfit, 1.0)
     variance += _SOFTNESS_ERROR**2 + (2.0 * _RELATIVE_ERROR * misfit * moment) ** 2
     sigma = float(np.sqrt(moment))
-    return EdgeBlur(sigma, float(np.sqrt(variance)) / (2.0 * sigma), shape, float(abs(told)))
+    error = float(np.sqrt(variance)) / (2.0 * sigma)
+    return BorderBlur(sigma, error, shape, float(abs(told)), tuple(still.tolist()))
 
 
-def _readable(samples: EdgeSamples, start: float) -> EdgeProfiles | None:
+def _readable(samples: BorderSamples, start: float) -> BorderProfiles | None:
     """Profiles that can be read; None if there are too few."""
     reach = clean_reach(samples, start, min(start + _LEVEL_LENGTH, REACH_LR_PX))
     ends = tuple(end if end - start >= _LEAST_LENGTH else 0.0 for end in reach)
-    profiles = edge_profiles(samples, start, (ends[0], ends[1]))
+    profiles = border_profiles(samples, start, (ends[0], ends[1]))
     seen = (profiles.count >= 3).sum(axis=1)
     keep = (profiles.count.sum(axis=1) > _LEAST_SAMPLES) & (seen > 0.7 * BINS)
-    keep &= profiles.motion < _FAR_MOTION
     if len(np.unique(profiles.pair[keep])) < _LEAST_PAIRS:
         return None
     return profiles.picked(keep)
 
 
-def _sharp(profiles: EdgeProfiles, fit: EdgeFit) -> EdgeProfiles:
-    """Profiles of the frames and axes that motion has not blurred."""
-    least = float(np.partition(fit.moments, _LEAST_PAIRS - 1)[_LEAST_PAIRS - 1])
-    sharp = fit.pairs[fit.moments <= least + _BLURRED]
-    return profiles.picked(np.isin(profiles.pair, sharp))
+def _sharp(samples: BorderSamples, first: BorderFit) -> BorderProfiles | None:
+    """Profiles of the frames and axes that motion has not blurred, with their levels read anew.
 
-
-def common_moment(moments: Array, covariance: Array, motion: Array) -> tuple[float, float]:
-    """Second moment of the optics out of those of optics and motion.
-
-    Parameters
-    ----------
-    moments : (n,) float64
-        Of optics and motion, LR px^2.
-    covariance : (n, n) float64
-    motion : (n,) float64
-        Estimated path along the axis, LR px, 0 where none was found.
-
-    Returns
-    -------
-    moment, error : float
-        LR px^2.
-
-    Notes
-    -----
-    ``v_k = s + t_k + noise``: t_k >= 0 is exponentially distributed with an unknown mean where no
-    motion was found, m_k^2 / 12 with the error of m_k where one was; a fifth of the motions found
-    are none. What the errors have in common stays in full in the error of the mean.
+    How far from a border its blur reaches is known only now.
     """
-    common = max(float(covariance.mean()), 0.0)
-    own = np.sqrt(np.maximum(np.diag(covariance) - common, 0.0) + _MOMENT_ERROR**2)
-    s, tau = _MOMENTS[:, None, None], _MOTIONS[None, :, None]
-    z = moments - s
-    unknown = -np.log(tau) + own**2 / (2 * tau**2) - z / tau + log_ndtr(z / own - own / tau)
-    of_motion = motion**2 / 12.0
-    width = np.sqrt(own**2 + (motion * _MOTION_ERROR / 6.0) ** 2 + (_MOTION_ERROR**2 / 12.0) ** 2)
-    known = -0.5 * ((z - of_motion) / width) ** 2 - np.log(width * np.sqrt(2 * np.pi))
-    mixed = np.logaddexp(np.log(_FALSE_MOTION) + unknown, np.log(1 - _FALSE_MOTION) + known)
-    likely = np.where(motion > 0, mixed, unknown).sum(-1) - 0.5 * np.log(tau[..., 0])
-    weight = np.exp(likely - likely.max()).sum(1)
-    weight /= weight.sum()
-    mean = float(weight @ _MOMENTS)
-    variance = float(weight @ (_MOMENTS - mean) ** 2)
-    return mean, float(np.sqrt(variance + common))
+    least = float(np.partition(first.moments, _LEAST_PAIRS - 1)[_LEAST_PAIRS - 1])
+    sharp = first.pairs[first.moments <= least + _BLURRED]
+    spread = np.sqrt(footprint_variance_lr_px2(np.sqrt(least)))
+    start = float(np.clip(first.gap / 2 + _LEVEL_SIGMAS * spread, *_LEVEL_LIMITS))
+    for level_from in (start, _LEVEL_FROM):
+        profiles = _readable(samples, level_from)
+        if profiles is not None:
+            profiles = profiles.picked(np.isin(profiles.pair, sharp))
+            if len(np.unique(profiles.pair)) >= _LEAST_PAIRS:
+                return profiles
+    return None
+
+
+def _motion_of(profiles: BorderProfiles) -> Array:
+    """Motion of every frame and axis, (n_pairs,) LR px."""
+    pairs, at = np.unique(profiles.pair, return_inverse=True)
+    return np.asarray(np.bincount(at, profiles.motion) / np.bincount(at, minlength=len(pairs)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic
-from pv_inspect.reconstruction.edge_blur import edge_blur
+from pv_inspect.reconstruction.image_blur import image_blur
 from pv_inspect.reconstruction.support import Detail, support_of
 
 __all__ = ["CellSight", "sight_of"]
@@ -84,4 +84,4 @@ def sight_of(
         ]
         for row in range(layout.rows)
     ]
-    return CellSight(np.array(shares, np.float32), edge_blur(image, grid))
+    return CellSight(np.array(shares, np.float32), image_blur(image, grid))

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["PsfEstimate", "PsfEvidence", "PsfShape"]
+__all__ = ["PsfEstimate", "PsfShape"]
 
-PsfEvidence = Literal["borders", "borders and pixels", "pixels", "typical", "given"]
+
 PsfShape = Literal["gaussian", "disc", "unknown"]
+
+_SOURCES = {"borders": "the borders of the cells", "pixels": "held-out pixels"}
 
 
 @dataclass(frozen=True)
@@ -21,28 +23,25 @@ class PsfEstimate:
         Standard deviation per axis, LR px.
     error : float
         One standard deviation of sigma, LR px; 0 for one that was given.
-    evidence : {"borders", "borders and pixels", "pixels", "typical", "given"}
-        What says so: borders of cells, held-out pixels, both; what lenses in focus have, for the
-        frames leave it open; the user.
+    evidence : str
+        What says so: "borders" of cells, held-out "pixels" or another `Evidence`, joined by " and "
+        if there are several; "typical", what lenses in focus have, where the frames leave it open;
+        "given" by the user.
     shape : {"gaussian", "disc", "unknown"}
         What the borders say of the shape. The observation model is Gaussian.
     """
 
     sigma: float
     error: float
-    evidence: PsfEvidence
+    evidence: str
     shape: PsfShape = "unknown"
 
     @property
     def words(self) -> str:
         """How well it is known and from what, to follow the number."""
-        where = {
-            "borders": "from the borders of the cells",
-            "borders and pixels": "from the borders of the cells and held-out pixels",
-            "pixels": "from held-out pixels, for the borders of the cells can't be read",
-        }
         if self.evidence == "given":
             return ", given"
         if self.evidence == "typical":
-            return ", what is usual: the frames don't tell it"
-        return f", \u00b1 {self.error:.2f}, {where[self.evidence]}"
+            return f", \u00b1 {self.error:.2f}, what is usual: the frames don't tell it"
+        sources = (_SOURCES.get(name, name) for name in self.evidence.split(" and "))
+        return f", \u00b1 {self.error:.2f}, from {' and '.join(sources)}"

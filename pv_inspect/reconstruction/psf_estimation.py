@@ -38,6 +38,8 @@ SEARCHED_LR_PX = (0.13, 1.5)
 """Limits of the search, LR px."""
 # Where the search begins, and its steps, LR px.
 _FIRST_SIGMA, _STEP = 0.49, 0.06
+# A range that is narrower says more than the usual start, LR px.
+_NARROW = 0.5
 # Weight of the prior that the search begins with, and its limits.
 _FIRST_WEIGHT, _LEAST_WEIGHT, _LARGEST_WEIGHT = 0.015, 1e-4, 1.0
 _HELD_OUT = 0.1
@@ -82,8 +84,11 @@ def window_of(grid: HrGrid, image: Image, side_lr_px: float = _SIDE_LR_PX) -> Hr
 
 
 def estimate_psf_sigma(
-    camera: Camera, window: HrGrid, views: list[View]
-) -> Generator[float, None, float]:
+    camera: Camera,
+    window: HrGrid,
+    views: list[View],
+    within: tuple[float, float] = SEARCHED_LR_PX,
+) -> Generator[float, None, float | None]:
     """Find the optical sigma that predicts held-out pixels best.
 
     Parameters
@@ -92,6 +97,8 @@ def estimate_psf_sigma(
     window : HrGrid
         See `window_of`.
     views : list of View
+    within : tuple of float, optional
+        Least and largest sigma that is looked for, LR px.
 
     Yields
     ------
@@ -100,9 +107,9 @@ def estimate_psf_sigma(
 
     Returns
     -------
-    float
+    float or None
         Optical sigma, LR px: the vertex of the parabola through the best candidate and its
-        neighbours.
+        neighbours. None if the best lies beyond the limits.
 
     Notes
     -----
@@ -137,13 +144,16 @@ def estimate_psf_sigma(
             around = [sigma + d for d in (-_STEP, 0.0, _STEP)]
             found = held_out(around, weight)
             best = int(np.argmin(found))
-            if best == 1 or not SEARCHED_LR_PX[0] < around[best] < SEARCHED_LR_PX[1]:
+            if best == 1 or not within[0] < around[best] < within[1]:
                 return found[1], sigma
             sigma = around[best]
 
     # Frames with motion blur say less of detail: the prior must weigh less by as much.
     weight = _FIRST_WEIGHT * detail_left(np.array([view.motion for view in views]))
-    least, sigma = profile(weight, _FIRST_SIGMA)
+    # From the middle of a narrow range, on the grid of the wide one.
+    start = sum(within) / 2 if within[1] - within[0] < _NARROW else _FIRST_SIGMA
+    steps = round((start - _FIRST_SIGMA) / _STEP)
+    least, sigma = profile(weight, _FIRST_SIGMA + steps * _STEP)
     yield 0.5
     for factor in (0.5, 2.0):
         while _LEAST_WEIGHT < weight < _LARGEST_WEIGHT:
@@ -167,11 +177,13 @@ def _held_out_residual(
     return held_out.residual(image) / max(held_out.n_pixels, 1)
 
 
-def _vertex(scores: dict[float, float]) -> float:
-    """Vertex of the parabola through the best width and its neighbours."""
+def _vertex(scores: dict[float, float]) -> float | None:
+    """Vertex of the parabola through the best width and its neighbours; None without both."""
     x = np.array(sorted(scores))
     y = np.array([scores[v] for v in x])
-    k = int(np.clip(np.argmin(y), 1, len(x) - 2))
+    k = int(np.argmin(y))
+    if not 0 < k < len(x) - 1:
+        return None
     c2, c1, _ = np.polyfit(x[k - 1 : k + 2], y[k - 1 : k + 2], 2)
-    vertex = -c1 / (2 * c2) if c2 > 0 else x[np.argmin(y)]
+    vertex = -c1 / (2 * c2) if c2 > 0 else x[k]
     return float(np.clip(vertex, x[k - 1], x[k + 1]))

@@ -1,13 +1,13 @@
 """The optical blur from all evidence that a sequence holds, with its uncertainty.
 
 The borders of cells and their place are known, not how sharp they are themselves: they tell the
-largest blur of the optics, and the least within some tenths of a pixel. In between, pixels that
-were held out decide.
+largest blur of the optics, and the least within some tenths of a pixel. They also tell whether the
+frames moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 
 import cv2
 import numpy as np
@@ -17,97 +17,77 @@ from pv_inspect.common.work import Progress, forwarded
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.photometry.photometry import Photometry, observed
-from pv_inspect.reconstruction.border_blur import EdgeBlur, blur_of_edges
-from pv_inspect.reconstruction.edge_samples import edge_samples
+from pv_inspect.reconstruction.border_blur import BorderBlur, blur_of_borders
+from pv_inspect.reconstruction.border_samples import border_samples
 from pv_inspect.reconstruction.held_out import cut_view
+from pv_inspect.reconstruction.psf_combination import Evidence, combined, possible
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
-from pv_inspect.reconstruction.psf_estimation import (
-    SEARCHED_LR_PX,
-    TYPICAL_SIGMA_LR_PX,
-    TYPICAL_SPREAD_LR_PX,
-    estimate_psf_sigma,
-    window_of,
-)
+from pv_inspect.reconstruction.psf_estimation import SEARCHED_LR_PX, estimate_psf_sigma, window_of
 from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
-__all__ = ["HELD_OUT_ERROR", "TYPICAL", "between_which", "combined", "estimate_psf"]
+__all__ = ["estimate_psf", "read_borders", "without_contradicted"]
 
 Array = NDArray[np.float64]
 
-HELD_OUT_ERROR = 0.22
-"""Relative error of what held-out pixels say: their spread on the seeds 0 to 29 of
-`benchmarks/psf_truth.py`."""
-
-# The softest borders, module units, standard deviation. Photographs of cells that scenes were made
-# from have up to this: it was chosen with the eight development sequences in view.
-_SOFTEST = 0.0055
-# Where the largest sigma is less than this times the least, no other evidence is needed.
-_SURE = 1.12
 # Frames that the PSF is estimated from.
 _FRAMES = 20
 # The lens does not depend on the magnification that is wanted: its blur is looked for at this one.
 _MAGNIFICATION = 4.0
-# Nearer to the limits of the search nothing was found, LR px.
-_NEAR_LIMIT = 0.03
+# Relative error below which held-out pixels are not asked: they are not better.
+_SURE = 0.05
 
 
-TYPICAL = PsfEstimate(TYPICAL_SIGMA_LR_PX, TYPICAL_SPREAD_LR_PX, "typical")
-"""What is assumed where the frames don't tell it."""
-
-
-def between_which(borders: EdgeBlur, lr_px_per_unit: float) -> tuple[float, float]:
-    """Least and largest sigma [LR px] that the borders of cells allow.
+def read_borders(
+    sequence: FrameSequence,
+    registration: Registration,
+    photometry: Photometry | None,
+    rays: SensorRays,
+    motion: Array,
+) -> BorderBlur | None:
+    """Read the blur of some of the frames off the borders of the cells.
 
     Parameters
     ----------
-    borders : EdgeBlur
-    lr_px_per_unit : float
-
-    Notes
-    -----
-    Borders are at most as sharp as what the optics show of them: a border that is soft itself makes
-    the optics look too wide, never too sharp.
+    sequence : FrameSequence
+    registration : Registration
+    photometry : Photometry or None
+    rays : SensorRays
+    motion : (n_frames, 2) float64
     """
-    soft = _SOFTEST * lr_px_per_unit
-    least = float(np.sqrt(max(borders.sigma**2 - soft**2, 0.0)))
-    low, high = SEARCHED_LR_PX
-    return max(least - borders.error, low), min(borders.sigma + borders.error, high)
+    frames = _some(registration)
+    samples = border_samples(sequence, registration, frames, photometry, rays, motion)
+    return blur_of_borders(samples, np.hypot(*motion[frames].T))
 
 
-def combined(borders: EdgeBlur | None, pixels: float | None, lr_px_per_unit: float) -> PsfEstimate:
-    """Combine what borders and held-out pixels say.
+def without_contradicted(
+    motion: Array, registration: Registration, borders: BorderBlur | None
+) -> Array:
+    """Take back the motions that borders of cells contradict.
 
     Parameters
     ----------
-    borders : EdgeBlur or None
-    pixels : float or None
-        Sigma that predicts held-out pixels best, LR px. At a limit of the search it says nothing.
-    lr_px_per_unit : float
+    motion : (n_frames, 2) float64
+    registration : Registration
+    borders : BorderBlur or None
+        Of `read_borders`.
 
     Returns
     -------
-    PsfEstimate
-        What the held-out pixels say, as far as the borders allow it; the middle of what they allow
-        if the pixels say nothing; the typical blur if nothing is known.
+    (n_frames, 2) float64
+        Frames whose borders were not read follow the majority of those that were.
     """
-    low, high = SEARCHED_LR_PX
-    if pixels is not None and not low + _NEAR_LIMIT < pixels < high - _NEAR_LIMIT:
-        pixels = None
-    if borders is None:
-        if pixels is None:
-            return TYPICAL
-        return PsfEstimate(pixels, HELD_OUT_ERROR * pixels, "pixels")
-    least, largest = between_which(borders, lr_px_per_unit)
-    # Standard deviation of an even distribution.
-    error = (largest - least) / np.sqrt(12.0)
-    if pixels is None:
-        sigma = float(np.sqrt((least**2 + largest**2) / 2.0))
-        return PsfEstimate(sigma, float(error), "borders", borders.shape)
-    sigma = float(np.clip(pixels, least, largest))
-    error = min(error, HELD_OUT_ERROR * sigma)
-    return PsfEstimate(sigma, float(error), "borders and pixels", borders.shape)
+    if borders is None or not borders.still:
+        return motion
+    read = _some(registration)
+    still = read[list(borders.still)]
+    others = np.setdiff1d(np.arange(len(motion)), read)
+    taken = motion.copy()
+    taken[still] = 0.0
+    if 2 * len(still) > motion[read].any(axis=1).sum():
+        taken[others] = 0.0
+    return taken
 
 
 def estimate_psf(
@@ -116,6 +96,8 @@ def estimate_psf(
     photometry: Photometry | None,
     rays: SensorRays,
     motion: Array,
+    borders: BorderBlur | None,
+    further: Sequence[Evidence] = (),
 ) -> Generator[Progress, None, PsfEstimate]:
     """Estimate the optical blur.
 
@@ -126,44 +108,49 @@ def estimate_psf(
     photometry : Photometry or None
     rays : SensorRays
     motion : (n_frames, 2) float64
+    borders : BorderBlur or None
+        Of `read_borders`.
+    further : sequence of Evidence
+        What else is known of the optics.
 
     Yields
     ------
     Progress
-        From 0.25 to 0.4.
+        From 0.3 to 0.4.
 
     Returns
     -------
     PsfEstimate
     """
-    yield Progress(0.25, "estimating the PSF")
+    per_unit = registration.lr_px_per_unit
+    known = combined(borders, None, per_unit, further)
+    if known.evidence != "typical" and known.error < _SURE * known.sigma:
+        return known
+    within = SEARCHED_LR_PX if borders is None else possible(borders, per_unit)
+    steps = _held_out_sigma(sequence, registration, photometry, rays, motion, within)
+    told = "estimating the PSF"
+    pixels = yield from forwarded(steps, lambda share: Progress(0.3 + 0.1 * share, told))
+    return combined(borders, pixels, per_unit, further)
+
+
+def _some(registration: Registration) -> NDArray[np.intp]:
+    """Frames that are looked at."""
     used = np.flatnonzero(registration.used)
     if used.size > _FRAMES:
         used = used[np.linspace(0, used.size - 1, _FRAMES).round().astype(int)]
-    samples = edge_samples(sequence, registration, used, photometry, rays, motion)
-    yield Progress(0.28, "estimating the PSF")
-    borders = blur_of_edges(samples)
-    del samples
-    per_unit = registration.lr_px_per_unit
-    if borders is not None:
-        least, largest = between_which(borders, per_unit)
-        if largest < _SURE * least:
-            return combined(borders, None, per_unit)
-    steps = _held_out_sigma(sequence, registration, used, photometry, rays, motion)
-    told = "estimating the PSF"
-    pixels = yield from forwarded(steps, lambda share: Progress(0.3 + 0.1 * share, told))
-    return combined(borders, pixels, per_unit)
+    return used
 
 
 def _held_out_sigma(
     sequence: FrameSequence,
     registration: Registration,
-    used: NDArray[np.intp],
     photometry: Photometry | None,
     rays: SensorRays,
     motion: Array,
+    within: tuple[float, float],
 ) -> Generator[float, None, float | None]:
     """Sigma that predicts held-out pixels best, on the part of the module with most detail."""
+    used = _some(registration)
     grid = HrGrid.covering(registration.layout, registration.lr_px_per_unit, _MAGNIFICATION)
     camera, homographies = registration.camera, registration.homographies
     # One frame, rectified, shows where detail is.
@@ -181,4 +168,4 @@ def _held_out_sigma(
             views.append(view)
     if not views:
         return None
-    return (yield from estimate_psf_sigma(camera, window, views))
+    return (yield from estimate_psf_sigma(camera, window, views, within))

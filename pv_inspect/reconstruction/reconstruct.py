@@ -33,9 +33,14 @@ from pv_inspect.reconstruction.prior_weight import (
     typical_prior_weight,
     windows_of,
 )
+from pv_inspect.reconstruction.psf_combination import TYPICAL
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX
-from pv_inspect.reconstruction.psf_evidence import TYPICAL, estimate_psf
+from pv_inspect.reconstruction.psf_evidence import (
+    estimate_psf,
+    read_borders,
+    without_contradicted,
+)
 from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
 from pv_inspect.reconstruction.sampling import between, of_more_than_one, sampling_of
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
@@ -109,12 +114,18 @@ def reconstruct(
         del first
         release()
     sampling = sampling_of(registration, sequence.shape)
-    psf = TYPICAL
+    psf, borders = TYPICAL, None
+    if sampling and (settings.psf_sigma_lr_px is None or motion.any()):
+        yield Progress(0.25, "reading the borders of the cells")
+        borders = read_borders(sequence, registration, photometry, rays, motion)
+        motion = without_contradicted(motion, registration, borders)
     if settings.psf_sigma_lr_px is not None:
         psf = PsfEstimate(settings.psf_sigma_lr_px, 0.0, "given")
     elif sampling:
-        psf = yield from estimate_psf(sequence, registration, photometry, rays, motion)
-        psf = replace(psf, sigma=between(TYPICAL_SIGMA_LR_PX, psf.sigma, sampling))
+        psf = yield from estimate_psf(sequence, registration, photometry, rays, motion, borders)
+        if psf.evidence == "pixels":
+            # Held-out pixels of few frames are folded as those that predict them; borders are not.
+            psf = replace(psf, sigma=between(TYPICAL_SIGMA_LR_PX, psf.sigma, sampling))
     sigma = psf.sigma
     data = Accumulation.begin(sequence, registration, grid, rays, sigma, motion, photometry, draft)
     windows = windows_of(grid) if settings.prior_weight is None and sampling else []

@@ -238,7 +238,7 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "flat_frame": "none",
         "kappa": f"{used.kappa:+.4f}, fitted",
         "focal_length_px": f"{camera.K[0, 0]:.0f}",
-        "psf_sigma_lr_px": f"{used.psf_sigma_lr_px:.2f}, {_found(sampling, 'estimated')}",
+        "psf_sigma_lr_px": f"{used.psf_sigma_lr_px:.2f}{_psf_found(reconstruction, sampling)}",
         "prior_weight": f"{used.prior_weight:.3g}, {_found(sampling, 'chosen')}",
     }
     rows = []
@@ -258,6 +258,14 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
             }
         )
     return rows
+
+
+def _psf_found(reconstruction: Reconstruction, sampling: float) -> str:
+    """Say where the blur is from, to follow the number."""
+    psf = reconstruction.psf
+    if psf is None or psf.evidence == "pixels":
+        return f", {_found(sampling, 'estimated')}"
+    return psf.words
 
 
 def _found(sampling: float, word: str) -> str:

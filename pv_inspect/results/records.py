@@ -22,7 +22,7 @@ from pv_inspect.common.records import (
     Whole,
 )
 from pv_inspect.cracks import OperatingPoint
-from pv_inspect.reconstruction.psf_estimate import PsfEvidence, PsfShape
+from pv_inspect.reconstruction.psf_estimate import PsfShape
 from pv_inspect.settings import Settings
 
 __all__ = ["GeometryRecord", "ResultRecord", "settings_of"]
@@ -124,10 +124,10 @@ class VignettingRecord(Record):
 
 
 class PsfRecord(Record):
-    """How the optical blur is known: `pv_inspect.reconstruction.psf_evidence.PsfEstimate`."""
+    """How the optical blur is known: `pv_inspect.reconstruction.psf_estimate.PsfEstimate`."""
 
     error_lr_px: Annotated[float, Field(strict=True, ge=0, le=100)]
-    evidence: PsfEvidence
+    evidence: Text
     shape: PsfShape = "unknown"
 
 

@@ -1,4 +1,4 @@
-"""The blur that borders of cells tell, and what is made of all evidence."""
+"""The blur that borders of cells tell."""
 
 from __future__ import annotations
 
@@ -9,19 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pv_inspect.common.work import result_of
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.rays import SensorRays
-from pv_inspect.reconstruction import psf_evidence
-from pv_inspect.reconstruction.border_blur import EdgeBlur, blur_of_edges, common_moment
-from pv_inspect.reconstruction.edge_samples import edge_samples
-from pv_inspect.reconstruction.psf_estimate import PsfEstimate
-from pv_inspect.reconstruction.psf_evidence import (
-    TYPICAL,
-    between_which,
-    combined,
-    estimate_psf,
-)
+from pv_inspect.observation.motion_blur import motion_of
+from pv_inspect.reconstruction.border_blur import BorderBlur, blur_of_borders
+from pv_inspect.reconstruction.border_samples import border_samples
+from pv_inspect.reconstruction.psf_evidence import read_borders, without_contradicted
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.simulate import Scene, SimulationSettings, simulated
@@ -66,11 +59,12 @@ def recorded(
     return sequence, registration, SensorRays.of(registration.camera, sequence.shape)
 
 
-def borders(folder: Path, scene: Scene, frames: int = 6, **changed: Any) -> EdgeBlur | None:
+def borders(folder: Path, scene: Scene, frames: int = 6, **changed: Any) -> BorderBlur | None:
     sequence, registration, rays = recorded(folder, scene, replace(SETTINGS, **changed))
     still = np.zeros((len(sequence), 2))
     used = np.arange(len(sequence))[:frames]
-    return blur_of_edges(edge_samples(sequence, registration, used, None, rays, still))
+    samples = border_samples(sequence, registration, used, None, rays, still)
+    return blur_of_borders(samples, np.zeros(frames))
 
 
 @pytest.mark.parametrize(("sigma", "shape"), [(0.45, "gaussian"), (0.7, "gaussian"), (0.6, "disc")])
@@ -95,9 +89,9 @@ def test_gaps_too_wide_for_a_profile_are_left_out(tmp_path: Path) -> None:
     wide = simulated(replace(settings, n_frames=1)).scene
     sequence, registration, rays = recorded(tmp_path, wide, settings)
     still = np.zeros((len(sequence), 2))
-    samples = edge_samples(sequence, registration, np.arange(6), None, rays, still)
+    samples = border_samples(sequence, registration, np.arange(6), None, rays, still)
     assert len(samples) == 0
-    assert blur_of_edges(samples) is None
+    assert blur_of_borders(samples, np.zeros(6)) is None
 
 
 def test_one_frame_has_too_few_borders(tmp_path: Path, scene: Scene) -> None:
@@ -112,87 +106,46 @@ def test_borders_beside_busbars_are_not_read(tmp_path: Path) -> None:
     assert found is None or abs(found.sigma - 0.5) < 2.5 * found.error
 
 
-def test_the_sharpest_frames_tell_the_optics_from_motion() -> None:
-    rng = np.random.default_rng(4)
-    motion = np.where(rng.random(24) < 0.5, 0.0, rng.uniform(0.0, 0.9, 24))
-    moments = 0.2 + motion**2 / 12 + 0.004 * rng.standard_normal(24)
-    covariance = np.diag(np.full(24, 0.004**2))
-    moment, error = common_moment(moments, covariance, np.zeros(24))
-    assert moment == pytest.approx(0.2, abs=0.006)
-    assert 0.0005 < error < 0.005
+def test_motions_that_borders_contradict_are_told(tmp_path: Path, scene: Scene) -> None:
+    settings = replace(SETTINGS, psf_sigma_px=0.45)
+    sequence, registration, rays = recorded(tmp_path, scene, settings)
+    told = np.tile([1.4, 0.3], (len(sequence), 1))
+    found = read_borders(sequence, registration, None, rays, told)
+    assert found is not None
+    assert found.still == tuple(range(len(sequence)))
+    assert found.sigma == pytest.approx(0.45, rel=0.08)
+    assert not without_contradicted(told, registration, found).any()
 
 
-def test_a_motion_that_was_found_is_taken_off() -> None:
-    motion = np.linspace(0.6, 1.6, 6)
-    covariance = np.diag(np.full(6, 0.005**2))
-    moment, _ = common_moment(0.25 + motion**2 / 12, covariance, motion)
-    assert moment == pytest.approx(0.25, abs=0.02)
-    # The first frame stands still and the others do not look it: their motions are false.
-    false = common_moment(np.full(6, 0.25), covariance, np.array([0.0] + [1.4] * 5))
-    assert false[0] == pytest.approx(0.25, abs=0.03)
+def test_motions_that_borders_show_are_kept(tmp_path: Path, scene: Scene) -> None:
+    moving = replace(SETTINGS, psf_sigma_px=0.45, motion_blur_px=3.0)
+    sequence, registration, rays = recorded(tmp_path, scene, moving)
+    poses = simulated(moving, scene).poses
+    true = np.array([motion_of(pose.motion_px, pose.motion_deg) for pose in poses])
+    assert (np.hypot(*true.T) > 0.9).sum() > 3
+    found = read_borders(sequence, registration, None, rays, true)
+    assert found is not None
+    assert found.still == ()
+    assert without_contradicted(true, registration, found) is true
 
 
-def test_an_error_that_all_frames_share_is_not_averaged_out() -> None:
-    moments = np.full(20, 0.25)
-    alone = np.diag(np.full(20, 0.01**2))
-    _, small = common_moment(moments, alone, np.zeros(20))
-    _, large = common_moment(moments, alone + 0.02**2, np.zeros(20))
-    assert small < 0.005
-    assert large > 0.019
-
-
-SHARP = EdgeBlur(0.5, 0.01, "disc", 50.0)
-
-
-def test_held_out_pixels_decide_within_what_the_borders_allow() -> None:
-    least, largest = between_which(SHARP, 50.0)
-    assert least == pytest.approx(np.sqrt(0.5**2 - (0.0055 * 50) ** 2) - 0.01)
-    assert largest == pytest.approx(0.51)
-    assert combined(SHARP, 0.45, 50.0).sigma == 0.45
-    assert combined(SHARP, 0.23, 50.0).sigma == pytest.approx(least)
-    wide = combined(SHARP, 0.9, 50.0)
-    assert wide.sigma == pytest.approx(largest)
-    assert (wide.evidence, wide.shape) == ("borders and pixels", "disc")
-    assert 0.01 < wide.error < (largest - least) / 2
-
-
-def test_borders_of_a_wide_blur_leave_little_open() -> None:
-    sharp = combined(replace(SHARP, sigma=0.3), None, 50.0)
-    wide = combined(replace(SHARP, sigma=0.8), None, 50.0)
-    assert wide.error / wide.sigma < 0.3 * sharp.error / sharp.sigma
-    assert wide.sigma == pytest.approx(0.8, rel=0.05)
-
-
-@pytest.mark.parametrize("pixels", [0.13, 1.49, None])
-def test_a_limit_of_the_search_is_never_the_answer(pixels: float | None) -> None:
-    assert combined(None, pixels, 50.0) == TYPICAL
-    least, largest = between_which(SHARP, 50.0)
-    assert least < combined(SHARP, pixels, 50.0).sigma < largest
-
-
-def test_held_out_pixels_are_asked_only_if_borders_leave_it_open(
-    tmp_path: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
+def test_frames_whose_borders_were_not_read_follow_the_majority(
+    tmp_path: Path, scene: Scene
 ) -> None:
-    sequence, registration, rays = recorded(tmp_path, scene, replace(SETTINGS, psf_sigma_px=0.95))
-    still = np.zeros((len(sequence), 2))
-    monkeypatch.setattr(psf_evidence, "estimate_psf_sigma", None)
-    found = result_of(estimate_psf(sequence, registration, None, rays, still))
-    assert found.evidence == "borders"
-    assert found.sigma == pytest.approx(0.95, rel=0.08)
-    asked = []
-
-    def held_out(*views: Any) -> Any:
-        asked.append(views)
-        yield 1.0
-        return 0.4
-
-    monkeypatch.setattr(psf_evidence, "estimate_psf_sigma", held_out)
-    monkeypatch.setattr(psf_evidence, "blur_of_edges", lambda _: None)
-    found = result_of(estimate_psf(sequence, registration, None, rays, still))
-    assert (found.sigma, found.evidence, len(asked)) == (0.4, "pixels", 1)
-
-
-def test_words_say_how_well_it_is_known() -> None:
-    assert PsfEstimate(0.5, 0.013, "borders").words == ", ± 0.01, from the borders of the cells"
-    assert "usual" in TYPICAL.words
-    assert PsfEstimate(0.5, 0.0, "given").words == ", given"
+    _, registration, _ = recorded(tmp_path, scene, SETTINGS)
+    n = 40
+    many = replace(
+        registration,
+        homographies=np.repeat(registration.homographies[:1], n, axis=0),
+        used=np.ones(n, bool),
+        why=("",) * n,
+        gain=np.ones(n),
+        offset=np.zeros(n),
+        rms=np.ones(n),
+    )
+    told = np.full((n, 2), 1.1)
+    some = BorderBlur(0.5, 0.01, "disc", 50.0, still=tuple(range(4)))
+    assert (~without_contradicted(told, many, some).any(axis=1)).sum() == 4
+    most = replace(some, still=tuple(range(12)))
+    assert (~without_contradicted(told, many, most).any(axis=1)).sum() == 32
+    assert np.array_equal(without_contradicted(told, many, None), told)

@@ -15,7 +15,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.reconstruction.cell_sight import CellSight
-from pv_inspect.reconstruction.edge_blur import edge_blur
+from pv_inspect.reconstruction.image_blur import image_blur
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.frame import Frame
@@ -115,9 +115,9 @@ def test_the_blur_is_that_of_the_edges_of_the_cells(gap: float, blur: float) -> 
         y, x = grid.cell_slices(row, col)
         image[y.start + margin : y.stop - margin, x.start + margin : x.stop - margin] = 0.6
     image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur * grid.pixels_per_unit))
-    assert np.allclose(edge_blur(image, grid), blur, rtol=0.25)
+    assert np.allclose(image_blur(image, grid), blur, rtol=0.25)
 
 
 def test_without_an_edge_nothing_is_known_about_the_blur() -> None:
     grid = HrGrid.covering(ModuleLayout(2, 2), 30.0, 2.0)
-    assert np.isnan(edge_blur(np.full(grid.shape, 0.4, np.float32), grid)).all()
+    assert np.isnan(image_blur(np.full(grid.shape, 0.4, np.float32), grid)).all()

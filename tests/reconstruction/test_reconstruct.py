@@ -271,7 +271,12 @@ def test_psf_width_is_found_from_held_out_pixels() -> None:
             strict=True,
         )
     ]
-    assert result_of(estimate_psf_sigma(CAMERA, grid, views)) == pytest.approx(SIGMA, rel=0.1)
+    found = result_of(estimate_psf_sigma(CAMERA, grid, views))
+    assert found == pytest.approx(SIGMA, rel=0.1)
+    narrow = (SIGMA - 0.08, SIGMA + 0.1)
+    assert result_of(estimate_psf_sigma(CAMERA, grid, views, narrow)) == pytest.approx(found, 0.03)
+    beyond = (SIGMA + 0.2, SIGMA + 0.4)
+    assert result_of(estimate_psf_sigma(CAMERA, grid, views, beyond)) is None
 
 
 def test_the_minimiser_does_not_depend_on_where_the_solver_starts() -> None:

@@ -83,6 +83,7 @@ def test_the_page_says_how_well_the_blur_is_known() -> None:
     known = replace(inspection.reconstruction, psf=PsfEstimate(0.5, 0.013, "borders"))
     text = " ".join(Reader(render_report(replace(inspection, reconstruction=known))).text.split())
     assert "standard deviation, ± 0.01, from the borders of the cells." in text
+    assert text.count("± 0.01, from the borders of the cells") == 2
 
 
 def test_the_table_of_cells_starts_with_the_longest_cracks() -> None:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j1
 
-from pv_inspect.reconstruction.edge_profiles import EdgeProfiles
+from pv_inspect.reconstruction.border_profiles import BorderProfiles
 
-__all__ = ["EdgeFit", "Shape", "fit_edges"]
+__all__ = ["BorderFit", "Shape", "fit_borders"]
 
 Array = NDArray[np.float64]
 Shape = Literal["gaussian", "disc"]
@@ -51,8 +51,8 @@ _LEAST_SAMPLES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFit:
-    """Result of `fit_edges`.
+class BorderFit:
+    """Result of `fit_borders`.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ class EdgeFit:
     misfit: float
 
 
-def fit_edges(profiles: EdgeProfiles, shape: Shape) -> EdgeFit:
+def fit_borders(profiles: BorderProfiles, shape: Shape) -> BorderFit:
     """Fit the blur of every frame and axis with one module.
 
     Parameters
     ----------
-    profiles : EdgeProfiles
+    profiles : BorderProfiles
     shape : {"gaussian", "disc"}
 
     Notes
@@ -120,13 +120,13 @@ def fit_edges(profiles: EdgeProfiles, shape: Shape) -> EdgeFit:
     misfit = float((r**2).sum() / max(int((model.weight > 0).sum()), 1))
     covariance = np.asarray(np.linalg.inv(normal)[:n, :n], np.float64) * max(misfit, 1.0)
     gap = float(np.mean(at[2 * n : 2 * n + 2]))
-    return EdgeFit(model.pairs, at[:n], covariance, gap, cost, misfit)
+    return BorderFit(model.pairs, at[:n], covariance, gap, cost, misfit)
 
 
 class _Model:
     """Profiles as a function of the parameters."""
 
-    def __init__(self, profiles: EdgeProfiles, shape: Shape) -> None:
+    def __init__(self, profiles: BorderProfiles, shape: Shape) -> None:
         self._p, self._shape = profiles, shape
         self.pairs, self._pair = np.unique(profiles.pair, return_inverse=True)
         self.n_pairs = len(self.pairs)

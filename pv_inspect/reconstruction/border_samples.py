@@ -9,7 +9,7 @@ ISO 12233).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from pv_inspect.photometry.photometry import Photometry, observed
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 
-__all__ = ["REACH_LR_PX", "EdgeSamples", "edge_samples"]
+__all__ = ["REACH_LR_PX", "BorderSamples", "border_samples"]
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ _STRIP = 256
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeSamples:
+class BorderSamples:
     """Samples of the borders of cells, all (n,).
 
     Parameters
@@ -78,15 +78,19 @@ class EdgeSamples:
     def __len__(self) -> int:
         return len(self.distance)
 
+    def still(self, frames: NDArray[np.int64]) -> BorderSamples:
+        """Return the samples with no motion in some frames."""
+        return replace(self, motion=np.where(np.isin(self.frame, frames), 0.0, self.motion))
 
-def edge_samples(
+
+def border_samples(
     sequence: FrameSequence,
     registration: Registration,
     frames: NDArray[np.intp],
     photometry: Photometry | None,
     rays: SensorRays,
     motion: Array,
-) -> EdgeSamples:
+) -> BorderSamples:
     """Gather the pixels near the borders of cells.
 
     Parameters
@@ -100,11 +104,11 @@ def edge_samples(
     motion : (n_frames, 2) float64
         Of all frames of the sequence.
     """
-    found: list[EdgeSamples] = []
+    found: list[BorderSamples] = []
     for k, i in enumerate(frames):
         g, weights = observed(sequence, registration, int(i), photometry)
         to_module = np.linalg.inv(registration.homographies[i])
-        seen: list[EdgeSamples] = []
+        seen: list[BorderSamples] = []
         for start in range(0, g.shape[0], _STRIP):
             part = (slice(start, start + _STRIP), slice(None))
             frame = _Frame(k, g[part], weights[part] > 0, rays.cut(part), to_module, motion[i])
@@ -124,7 +128,7 @@ class _Frame:
     to_module: Array
     motion: Array
 
-    def samples(self, layout: ModuleLayout, lr_px_per_unit: float) -> Iterator[EdgeSamples]:
+    def samples(self, layout: ModuleLayout, lr_px_per_unit: float) -> Iterator[BorderSamples]:
         """Pixels near the lines of both axes."""
         homogeneous = self.rays.xy @ self.to_module[:, :2].T + self.to_module[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -159,7 +163,7 @@ class _Frame:
             length = widths[1 - axis] * lr_px_per_unit
             pieces = max(int(length / _PIECE_LR_PX), 1)
             piece = np.minimum((inside[px] * pieces).astype(np.int64), pieces - 1)
-            yield EdgeSamples(
+            yield BorderSamples(
                 np.full(len(cell), self.number),
                 np.full(len(cell), axis),
                 (nearest == len(line) - 1).astype(np.int64) - (nearest == 0),
@@ -173,17 +177,17 @@ class _Frame:
             )
 
 
-def _joined(parts: list[EdgeSamples]) -> EdgeSamples:
+def _joined(parts: list[BorderSamples]) -> BorderSamples:
     if not parts:
         none, nothing = np.zeros(0, np.int64), np.zeros(0)
         numbers, lengths = (none, none, none, none, none), (nothing,) * 5
-        return EdgeSamples(*numbers, *lengths)
-    return EdgeSamples(
-        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(EdgeSamples))
+        return BorderSamples(*numbers, *lengths)
+    return BorderSamples(
+        *(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(BorderSamples))
     )
 
 
-def _thinned(samples: EdgeSamples) -> EdgeSamples:
+def _thinned(samples: BorderSamples) -> BorderSamples:
     """Leave out what is too far away, and whole sides of cells if there are too many."""
     keep = np.abs(samples.distance) < REACH_LR_PX
     for axis in (0, 1):
@@ -198,4 +202,4 @@ def _thinned(samples: EdgeSamples) -> EdgeSamples:
         outer = keep & (samples.axis == axis) & (samples.outer != 0)
         every = max(int(np.ceil(2 * outer.sum() / _MAX_SAMPLES)), 1)
         keep &= ~outer | (samples.piece % every == 0)
-    return EdgeSamples(*(getattr(samples, f.name)[keep] for f in fields(EdgeSamples)))
+    return BorderSamples(*(getattr(samples, f.name)[keep] for f in fields(BorderSamples)))

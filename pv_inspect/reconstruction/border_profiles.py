@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.reconstruction.edge_samples import REACH_LR_PX, EdgeSamples
+from pv_inspect.reconstruction.border_samples import REACH_LR_PX, BorderSamples
 
-__all__ = ["BINS", "EdgeProfiles", "clean_reach", "edge_profiles"]
+__all__ = ["BINS", "BorderProfiles", "border_profiles", "clean_reach"]
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _SLOPE_LENGTH = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeProfiles:
+class BorderProfiles:
     """Profiles; the bright side (of outer borders) is to the left.
 
     Parameters
@@ -49,7 +49,7 @@ class EdgeProfiles:
     variance : (n, BINS) float64
         Of the mean intensity.
     box, motion, scale : (n,) float64
-        See `EdgeSamples`; the root mean square of the motion.
+        See `BorderSamples`; the root mean square of the motion.
     """
 
     pair: NDArray[np.int64]
@@ -64,17 +64,17 @@ class EdgeProfiles:
     motion: Array
     scale: Array
 
-    def picked(self, keep: NDArray[np.bool_]) -> EdgeProfiles:
+    def picked(self, keep: NDArray[np.bool_]) -> BorderProfiles:
         """Return some of the profiles."""
-        return EdgeProfiles(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+        return BorderProfiles(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
 
-def clean_reach(samples: EdgeSamples, level_from: float, wanted: float) -> tuple[float, float]:
+def clean_reach(samples: BorderSamples, level_from: float, wanted: float) -> tuple[float, float]:
     """How far from the lines of each axis cells keep their level: up to the first busbar.
 
     Parameters
     ----------
-    samples : EdgeSamples
+    samples : BorderSamples
     level_from, wanted : float
         Distance at which the level begins, and up to which it is looked at, LR px.
     """
@@ -103,14 +103,14 @@ def clean_reach(samples: EdgeSamples, level_from: float, wanted: float) -> tuple
     return found[0], found[1]
 
 
-def edge_profiles(
-    samples: EdgeSamples, level_from: float, level_to: tuple[float, float]
-) -> EdgeProfiles:
+def border_profiles(
+    samples: BorderSamples, level_from: float, level_to: tuple[float, float]
+) -> BorderProfiles:
     """Average samples of one frame and axis.
 
     Parameters
     ----------
-    samples : EdgeSamples
+    samples : BorderSamples
     level_from : float
         Distance from which on the blur of the border no longer changes a cell's level, LR px.
     level_to : tuple of float
@@ -147,7 +147,7 @@ def edge_profiles(
     usual = scatter.sum(0) / np.maximum(count.sum(0), 1.0)
     noisier = scatter.sum(1) / np.maximum((usual * count).sum(1), 1e-30)
     pick = count.sum(1) > 0
-    return EdgeProfiles(
+    return BorderProfiles(
         np.arange(n_groups) // 2,
         np.arange(n_groups) % 2 == 1,
         count.astype(np.int64),
@@ -162,7 +162,7 @@ def edge_profiles(
     ).picked(pick)
 
 
-def _level(samples: EdgeSamples, side: int, start: float, ends: tuple[float, float]) -> Array:
+def _level(samples: BorderSamples, side: int, start: float, ends: tuple[float, float]) -> Array:
     """Level of the cell on one side, continued to every sample; NaN where it is not known."""
     away = side * samples.distance
     far = (away > start) & (away < np.array(ends)[samples.axis])

@@ -3,6 +3,8 @@
 The PSF of one photograph can't be told from its pixels, and a photograph out of focus agrees with
 any PSF that is assumed. But every cell ends at a sharp edge, mostly at a narrow dark gap: how
 softly the image shows it is what blur is left, whatever the frames and the prior have made of it.
+What blurred the frames, before any image is made, is measured by
+`pv_inspect.reconstruction.border_blur`.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from scipy.special import ndtr
 
 from pv_inspect.geometry.grid import HrGrid
 
-__all__ = ["edge_blur"]
+__all__ = ["image_blur"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -35,7 +37,7 @@ _LEAST_CONTRAST = 0.15
 _LEAST_EDGES = 4
 
 
-def edge_blur(image: Image, grid: HrGrid) -> Image:
+def image_blur(image: Image, grid: HrGrid) -> Image:
     """Measure the blur of a module image around every cell.
 
     Parameters

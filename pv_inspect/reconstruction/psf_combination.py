@@ -1,0 +1,142 @@
+"""One optical blur out of all that is known of it.
+
+Borders of cells show the blur of the optics and of the scene together; how soft the scene is by
+itself is known as a prior only. Held-out pixels tell it well or not at all. Any further piece of
+evidence is a sigma with its error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from pv_inspect.reconstruction.border_blur import BorderBlur
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
+from pv_inspect.reconstruction.psf_estimation import (
+    SEARCHED_LR_PX,
+    TYPICAL_SIGMA_LR_PX,
+    TYPICAL_SPREAD_LR_PX,
+)
+
+__all__ = ["TYPICAL", "Evidence", "combined", "possible"]
+
+Array = NDArray[np.float64]
+
+# Softness of scenes, cell widths, standard deviation: a share of them is sharp up to the first, the
+# others are anything up to the second, which photographs of cells have that scenes were made from:
+# it was chosen with the eight development sequences in view.
+_SHARP, _SOFTEST, _SHARP_SHARE = 0.0014, 0.0055, 0.5
+# Held-out pixels, relative errors: a share of the scenes has the detail that their prior expects,
+# the others tell next to nothing. From the seeds 60 to 89 of `benchmarks/psf_truth.py`, and as
+# large a share as keeps what the pixels say of the eight development sequences.
+_PIXELS_GOOD, _PIXELS_ERROR, _PIXELS_WRONG = 0.3, 0.01, 0.3
+# Their error where no borders check them: the spread on the seeds 0 to 29.
+_PIXELS_ALONE = 0.22
+# Candidates: sigma [LR px] and softness [share of the softest].
+_STEP = 0.002
+_SIGMAS = np.arange(0.06, 2.0, _STEP)
+_SOFTNESS = (np.arange(44) + 0.5) / 44
+
+TYPICAL = PsfEstimate(TYPICAL_SIGMA_LR_PX, TYPICAL_SPREAD_LR_PX, "typical")
+"""What is assumed where the frames don't tell it."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What something else says of the optics, for instance earlier frames of the same camera.
+
+    Parameters
+    ----------
+    sigma, error : float
+        Standard deviation per axis, and one standard deviation of it, LR px.
+    name : str
+        As in `PsfEstimate.evidence`.
+    """
+
+    sigma: float
+    error: float
+    name: str
+
+
+def combined(
+    borders: BorderBlur | None,
+    pixels: float | None,
+    lr_px_per_unit: float,
+    further: Sequence[Evidence] = (),
+) -> PsfEstimate:
+    """Combine all evidence.
+
+    Parameters
+    ----------
+    borders : BorderBlur or None
+    pixels : float or None
+        Sigma that predicts held-out pixels best, LR px; None if there is none within the limits.
+    lr_px_per_unit : float
+    further : sequence of Evidence
+
+    Returns
+    -------
+    PsfEstimate
+        The most likely sigma, and the standard deviation about it; what is typical if nothing is
+        known.
+    """
+    names = ["borders"] * (borders is not None) + ["pixels"] * (pixels is not None)
+    names += [e.name for e in further]
+    if not names:
+        return TYPICAL
+    if names == ["pixels"] and pixels is not None:
+        return PsfEstimate(pixels, _PIXELS_ALONE * pixels, "pixels")
+    likely = np.zeros(len(_SIGMAS))
+    if borders is not None:
+        likely += _by_borders(borders, lr_px_per_unit)
+    if pixels is not None:
+        away = np.log(_SIGMAS / pixels)
+        good = np.log(_PIXELS_GOOD) + _normal(away, _PIXELS_ERROR)
+        likely += np.logaddexp(good, np.log(1.0 - _PIXELS_GOOD) + _normal(away, _PIXELS_WRONG))
+    for one in further:
+        likely += _normal(_SIGMAS - one.sigma, one.error)
+    sigma, error = _most_likely(likely)
+    shape = "unknown" if borders is None else borders.shape
+    return PsfEstimate(sigma, error, " and ".join(names), shape)
+
+
+def possible(borders: BorderBlur, lr_px_per_unit: float) -> tuple[float, float]:
+    """Least and largest sigma [LR px] that the borders of cells allow.
+
+    Notes
+    -----
+    Borders are at most as sharp as what the optics show of them: a border that is soft itself makes
+    the optics look too wide, never too sharp.
+    """
+    least = float(np.sqrt(max(borders.sigma**2 - (_SOFTEST * lr_px_per_unit) ** 2, 0.0)))
+    low, high = SEARCHED_LR_PX
+    return max(least - borders.error, low), min(borders.sigma + borders.error, high)
+
+
+def _by_borders(borders: BorderBlur, lr_px_per_unit: float) -> Array:
+    """Log likelihood of every sigma, the mean over how soft the scene may be."""
+    soft = _SOFTEST * _SOFTNESS
+    sharp = soft < _SHARP
+    prior = (1.0 - _SHARP_SHARE) / len(soft) + _SHARP_SHARE * sharp / sharp.sum()
+    together = np.hypot(_SIGMAS[:, None], soft * lr_px_per_unit)
+    each = _normal(together - borders.sigma, borders.error)
+    return np.asarray(logsumexp(each, axis=1, b=prior), np.float64)
+
+
+def _most_likely(likely: Array) -> tuple[float, float]:
+    """Maximum of a log likelihood (vertex of the parabola), and the standard deviation about it."""
+    k = int(np.clip(np.argmax(likely), 1, len(likely) - 2))
+    before, here, after = likely[k - 1 : k + 2]
+    bend = 2.0 * here - before - after
+    sigma = float(_SIGMAS[k] + (0.5 * _STEP * (after - before) / bend if bend > 0 else 0.0))
+    weight = np.exp(likely - likely.max())
+    return sigma, float(np.sqrt(weight @ (_SIGMAS - sigma) ** 2 / weight.sum()))
+
+
+def _normal(x: Array, spread: float) -> Array:
+    """Logarithm of a normal distribution, but for a constant."""
+    return np.asarray(-0.5 * (x / spread) ** 2 - np.log(spread), np.float64)
