@@ -22,6 +22,7 @@ from pv_inspect.geometry.pose import Pose
 
 __all__ = [
     "FILLED",
+    "MAX_KAPPA",
     "Outline",
     "OutlineError",
     "conventional_camera",
@@ -45,6 +46,10 @@ CLOSINGS_PX = (9, 7, 5, 3)
 """Widths of gaps that are closed when the generous first one does not show the module."""
 WIDER = (2, 4)
 """At the end gaps are closed that are so many times wider: those of mini-modules."""
+MAX_KAPPA = 1.0
+"""For a focal length of the longer side of the frame; lenses have -0.4 to 0.2. The few lines of
+four cells can be fitted by 207 and too wide a pitch, their notched outline by 143
+(benchmarks/gapped_modules.py, seeds 112 and 67)."""
 
 FILLED = "no module outline: the bright area fills the frame"
 
@@ -227,7 +232,8 @@ def fit_pose(
         Which corner of the quadrilateral is the module's top left one, 0 to 3.
     distorted : bool
         Whether kappa is fitted. Rounded corners of the outline, or dead cells in them, look like
-        distortion: then a fit without it comes closer.
+        distortion: then a fit without it comes closer. It is taken at once where only a lens that
+        can't be explains the outline.
 
     Returns
     -------
@@ -271,6 +277,8 @@ def fit_pose(
     fit = least_squares(
         residuals, np.append(first.ravel()[:8], 0.0), loss=loss, f_scale=width_px, max_nfev=60
     )
+    if distorted and not abs(float(fit.x[8])) <= MAX_KAPPA:
+        return fit_pose(outline, layout, shape, quarter_turns, distorted=False)
     return pose(fit.x), float(np.median(np.abs(residuals(fit.x)[:-1])))
 
 

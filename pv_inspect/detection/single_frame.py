@@ -14,6 +14,7 @@ from pv_inspect.detection.crossings import FrameCrossings, crossings_of
 from pv_inspect.detection.edges import CellEdges, EdgeOffsets, cell_edges, measure_edges
 from pv_inspect.detection.grid_check import IN_PLACE_PX, cell_levels, grid_fault, is_lit, offsets_px
 from pv_inspect.detection.outline import (
+    MAX_KAPPA,
     Outline,
     OutlineError,
     find_outlines,
@@ -46,9 +47,6 @@ MIN_BRIGHT_SHARE = 0.25
 """If fewer of the gaps lie between bright cells, the gaps of dead cells are asked too."""
 SURE_SHARE = 0.8
 """If fewer crossing points are measured, other starts are tried too."""
-MAX_KAPPA = 1.0
-"""For a focal length of the longer side of the frame; lenses have -0.4 to 0.2. The few lines of
-four cells can be fitted by 207 and too wide a pitch (benchmarks/gapped_modules.py, seed 112)."""
 MAX_ASPECT_RATIO_ERROR = 1.4
 """Perspective at 35 degrees changes the apparent aspect by 1.22, a wrong layout by 1.5 or more."""
 SEARCH_UNITS = (0.12, 0.06, 0.04)
