@@ -123,7 +123,8 @@ def crossings_of(
     known = weight > 0
     shift = np.divide(total, weight, out=_side_shifts(layout, edges, offsets, use), where=known)
     points = pose.project(ideal + shift)
-    scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
+    with np.errstate(invalid="ignore"):  # NaN beyond the fold of the lens
+        scale = np.sqrt(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, ideal))))
     variance = np.divide(1.0, weight, out=np.full_like(weight, (4 * spread) ** 2), where=known)
     measured = known.all(axis=1) & np.isfinite(points).all(axis=1)
     sigma = np.where(np.isfinite(scale), scale, np.inf) * np.sqrt(variance.mean(axis=1))

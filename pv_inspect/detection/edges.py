@@ -204,7 +204,8 @@ def _measure_alike(
 ) -> EdgeOffsets:
     """Measure edges whose gaps are wider than usual by the same width."""
     # Image pixels per module unit; everything below is in image pixels.
-    scale = float(np.nanmedian(scales_px(edges, pose)))
+    scales = scales_px(edges, pose)
+    scale = float(np.nanmedian(scales)) if np.isfinite(scales).any() else np.inf
     if not scale < MOST_FRAMES_PER_UNIT * max(image.shape):
         return EdgeOffsets.together(len(edges.middle), ())
     wider = gap_units * scale

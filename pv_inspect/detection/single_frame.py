@@ -123,6 +123,8 @@ def detect_in_frame(
     pose = start
     # In small cells a share of the cell is less than what noise moves a gap by.
     scale = start.scale_px(layout.size)
+    if not np.isfinite(scale):
+        raise OutlineError("what is bright in it determines no pose of a flat module")
     least, most = MIN_SEARCH_PX / scale, MAX_SEARCH_PX / scale
     parts = split_edges(edges)
     for search in SEARCH_UNITS:

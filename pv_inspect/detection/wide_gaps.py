@@ -155,13 +155,15 @@ def _proposals(
     """
     shape = layout.size[0] / layout.size[1]
     for outline in sorted(_outlines(image, inside), key=lambda one: -one.area):
-        with suppress(OutlineError):
-            pose, _ = fit_pose(outline, UNIT, image.shape, 0)
-            for start in (pose, pose.turned(UNIT.size, UNIT.size, 1)):
-                if abs(np.log(start.aspect / shape)) > np.log(MAX_ASPECT_RATIO_ERROR):
-                    continue
-                for proposal in islice(proposed_layouts(image, start, layout), PROPOSALS_EACH):
-                    yield proposal, outline
+        # Dead cells may have taken a corner away.
+        for whole in (outline, *outline.completed()):
+            with suppress(OutlineError):
+                pose, _ = fit_pose(whole, UNIT, image.shape, 0)
+                for start in (pose, pose.turned(UNIT.size, UNIT.size, 1)):
+                    if abs(np.log(start.aspect / shape)) > np.log(MAX_ASPECT_RATIO_ERROR):
+                        continue
+                    for proposal in islice(proposed_layouts(image, start, layout), PROPOSALS_EACH):
+                        yield proposal, whole
 
 
 def _outlines(image: NDArray[np.float32], inside: tuple[float, float] | None) -> list[Outline]:
@@ -206,19 +208,28 @@ def _again(
 
 
 def _with_gap_between_all(image: NDArray[np.float32], seen: _Seen) -> _Seen:
-    """Return the module with a gap between all cells if its lines are clearly so wide."""
-    layout, pose = seen.layout, seen.found.pose
-    # A wide gap somewhere explains the lines already; cells that lie apart do so both ways.
-    if layout != layout.plain:
+    """Return the module with a gap between all cells if its lines are clearly so wide.
+
+    Cells that lie apart have lines wherever in the wide gaps they are looked for, so that a grid
+    without such gaps, or with one wider gap somewhere, may seem to fit.
+    """
+    layout = seen.layout
+    if any(layout.cell_gap):
         return seen
-    gap = cell_gap_if_wide(image, layout, pose, search_units(layout, pose))
+    gap = cell_gap_if_wide(image, layout, seen.found.pose, search_units(layout, seen.found.pose))
     if not 0 < max(gap) <= 2 * min(gap):
         return seen
-    with suppress(OutlineError, InspectionError):
-        apart = _refined(image, _Seen(replace(layout, cell_gap=gap), seen.found))
-        if apart.found.share >= seen.found.share - SHARE_NOISE:
-            return apart
-    return seen
+    best = seen
+    least = seen.found.share - SHARE_NOISE
+    for apart in dict.fromkeys(
+        (replace(layout.plain, cell_gap=gap), replace(layout, cell_gap=gap))
+    ):
+        with suppress(OutlineError, InspectionError):
+            found = _again(image, layout, apart, seen.found) or seen.found
+            tried = _refined(image, _Seen(apart, found))
+            if tried.found.share >= least:
+                best, least = tried, tried.found.share + SHARE_NOISE
+    return best
 
 
 def _with_measured_gaps(

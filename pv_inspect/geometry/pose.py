@@ -82,13 +82,16 @@ class Pose:
     def scale_px(self, size: tuple[float, float]) -> float:
         """LR pixels per module unit in the middle of a module of this size.
 
+        NaN where the pose has it beyond the fold of the lens.
+
         Parameters
         ----------
         size : tuple of float
             Width and height, module units.
         """
         jacobian = self.camera.jacobian(self.homography, np.array([size]) / 2)[0]
-        return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
+        with np.errstate(invalid="ignore"):
+            return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
 
     @property
     def aspect(self) -> float:

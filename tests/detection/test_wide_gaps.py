@@ -3,6 +3,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -44,6 +45,23 @@ def test_the_gap_of_a_half_cut_module_is_found_without_being_told(gap: float) ->
     assert found.col_gaps[0][1] == pytest.approx(gap, abs=0.008)
     assert found.row_gaps == ()
     assert found.cell_gap == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("cell", [(0, 0), (3, 8)])
+def test_a_dark_corner_cell_hides_no_gaps_between_all_cells(cell: tuple[int, int]) -> None:
+    # Without its corner the grid fitted with wider gaps after row 2 and column 6, or not at all.
+    settings = _settings(
+        rows=4, cols=9, cell_gap=0.1, width=320, height=256, pixels_per_unit=70, seed=4,
+        dark_cell_share=0.0,
+    )  # fmt: skip
+    corners = _made(settings).crossings_px(0).reshape(5, 10, 2)
+    (row, col), dark = cell, np.zeros((256, 320), np.float32)
+    around = corners[row : row + 2, col : col + 2].reshape(4, 2)[[0, 1, 3, 2]]
+    cv2.fillPoly(dark, [around.round().astype(np.int32)], 0.85)
+    found = gaps_in_frame(_frame(settings) * (1 - dark), settings.layout.plain)
+    assert found is not None
+    assert (found.row_gaps, found.col_gaps) == ((), ())
+    assert found.cell_gap == pytest.approx((0.1, 0.1), abs=0.01)
 
 
 def test_a_narrow_gap_is_found_where_it_is_clear() -> None:
