@@ -16,6 +16,7 @@ from pv_inspect.detection.gap_model import GapShape
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.pose import Pose
+from pv_inspect.registration.seen_lines import seen_lines
 
 __all__ = ["sharpened", "straighten"]
 
@@ -27,6 +28,10 @@ BLUR_LR_PX = 0.6
 NOISE_TO_SIGNAL = 0.02
 SHARPENED_GAP = GapShape(blur=0.3, width=1.1, reach=1.4)
 """A gap after sharpening, LR pixels: the cells beside it hardly reach into the fit."""
+UNRESOLVED_LR_PX = 2.2
+"""Sharpened gaps of the usual width seem 1.4 to 2.1 LR px wide, and the usual shape is found in
+their middle (benchmarks/gapped_modules.py, seeds 0 to 23). In one of 2.5 px, too narrow for the
+layout to have it, it was found up to 0.4 px off to either side (seed 24)."""
 SEARCH_UNITS = 0.05
 MIN_GAPS = 30
 """Fewer do not determine the 11 parameters better than the crossing points of all frames."""
@@ -75,8 +80,12 @@ def straighten(
     edges = cell_edges(layout)
     plane = Pose(Camera(np.eye(3), 0.0), np.asarray(np.linalg.inv(grid.matrix), np.float64))
     sharp = sharpened(module, BLUR_LR_PX * grid.magnification)
+    shape = SHARPENED_GAP
+    seen = _seen_width(sharp, grid)
+    if seen > UNRESOLVED_LR_PX:
+        shape = shape.widened(seen - shape.width)
     offsets = measure_gaps_robustly(
-        sharp, edges, plane, SEARCH_UNITS, SHARPENED_GAP.scaled(grid.magnification)
+        sharp, edges, plane, SEARCH_UNITS, shape.scaled(grid.magnification)
     )
     if offsets.found.sum() < MIN_GAPS:
         return None
@@ -92,6 +101,16 @@ def straighten(
     known = [pose.homography for pose in poses if pose is not None]
     whole = len(known) == len(poses) and np.isfinite(known).all()
     return (fitted, np.array(known)) if whole else None
+
+
+def _seen_width(sharp: Image, grid: HrGrid) -> float:
+    """Width of the usual gaps beyond what the layout has of it, LR pixels; 0 if none is seen."""
+    widths = []
+    for lines, gap in zip(seen_lines(sharp, grid), grid.layout.cell_gap, strict=True):
+        width = lines.widths[0]
+        if np.isfinite(width).any():
+            widths.append((float(np.nanmedian(width)) - gap) * lines.lr_px)
+    return min(widths, default=0.0)
 
 
 def sharpened(image: Image, sigma: float) -> Image:

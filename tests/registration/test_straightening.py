@@ -25,7 +25,7 @@ def _poses() -> np.ndarray:
     return np.array(poses)
 
 
-def _drawn(grid: HrGrid, appears_at: np.ndarray) -> np.ndarray:
+def _drawn(grid: HrGrid, appears_at: np.ndarray, gap: float = 0.02) -> np.ndarray:
     """Draw cells of unequal brightness, blurred; `appears_at` is what each pixel's centre shows.
 
     Every pixel is the mean of FINER x FINER samples, whose places lie between those of the centres.
@@ -35,8 +35,8 @@ def _drawn(grid: HrGrid, appears_at: np.ndarray) -> np.ndarray:
     inside = (x > 0) & (x < 7) & (y > 0) & (y < 5)
     levels = np.random.default_rng(2).uniform(0.4, 0.8, (5, 7)).astype(np.float32)
     cells = levels[np.clip(y, 0, 4).astype(int), np.clip(x, 0, 6).astype(int)]
-    gap = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y))) < 0.01
-    image = np.where(inside & ~gap, cells, np.float32(0.05))
+    dark = np.minimum(np.abs(x - np.round(x)), np.abs(y - np.round(y))) < gap / 2
+    image = np.where(inside & ~dark, cells, np.float32(0.05))
     pixels = cv2.resize(image, grid.shape[::-1], interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(pixels, (0, 0), 0.55 * grid.magnification)
 
@@ -77,6 +77,19 @@ def test_a_camera_that_is_given_stays() -> None:
     np.testing.assert_allclose(camera.K, CAMERA.K, atol=1e-6)
     moved = CAMERA.unproject(poses[0], camera.project(fitted[0], LAYOUT.crossings()))
     np.testing.assert_allclose(moved - LAYOUT.crossings(), [[0.01, -0.006]] * 48, atol=5e-4)
+
+
+def test_gaps_a_little_wider_than_the_layout_has_them_are_measured_in_their_middle() -> None:
+    grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
+    noise = np.random.default_rng(0).normal(0, 0.004, grid.shape).astype(np.float32)
+    module = _drawn(grid, _pixel_points(grid), gap=0.05) + noise
+    result = straighten(module, grid, CAMERA, _poses(), 0.004)
+    assert result is not None
+    camera, fitted = result
+    points = camera.project(fitted[1], LAYOUT.crossings())
+    off = points - CAMERA.project(_poses()[1], LAYOUT.crossings())
+    # With the usual shape 0.9 px.
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.02
 
 
 def test_a_picture_without_gaps_changes_nothing() -> None:
