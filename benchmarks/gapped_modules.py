@@ -5,9 +5,10 @@
 Half-cut modules with centre gaps of 0 to 30 mm, mini-modules with 2 to 20 % of the pitch between
 all cells, third-cut cells and plain ones of 3 x 3 to 12 x 24 cells are run up to the registered
 frames with their rows, columns and cell aspect alone. "right" is a module whose gaps are found to
-0.02 cell widths and whose crossing points lie within 0.3 LR px (RMS) of the truth; "silent" one
-that is wrong without a word. Times are CPU seconds of the run. With ``--guess`` rows, columns and
-cell aspect are not given either.
+0.02 cell widths and whose crossing points lie within 0.3 LR px (RMS) of the truth; "doubtful" one
+that is wrong and said to be in doubt, "silent" one that is wrong without a word. A right one that
+is said to be in doubt is "doubted". Times are CPU seconds of the run. With ``--guess`` rows,
+columns and cell aspect are not given either.
 """
 
 from __future__ import annotations
@@ -46,6 +47,13 @@ from pv_inspect.simulate.exposure import camera_matrix, choose_poses
 
 GAP_TOLERANCE = 0.02
 MOST_RMS_PX = 0.3
+ANSWERS = {
+    (True, False): "right",
+    (True, True): "doubted",
+    (False, True): "doubtful",
+    (False, False): "silent",
+}
+"""By whether the module is right, and whether it is said to be in doubt."""
 CELL_MM = 182.0
 """Width of a whole wafer of today's modules."""
 
@@ -171,8 +179,9 @@ def _answered(seed: int, kind: str, made: SimulatedSequence, frames: FrameSequen
                 rms = _error_px(registration, made)
                 found = registration.layout
                 right = rms <= MOST_RMS_PX and _gaps_right(found, true)
-                answer = "right" if right else "silent"
-                words = f"{int(registration.used.sum())} used; {found.gaps_in_words}"
+                answer = ANSWERS[right, bool(registration.misfit)]
+                used = int(registration.used.sum())
+                words = f"{used} used; {found.gaps_in_words} {registration.misfit}"
                 break
     except InspectionError as error:
         words = str(error)
@@ -201,11 +210,11 @@ def main() -> int:
             print(
                 f"{one.seed:4d} {one.kind:9} {one.true.rows:2d} x {one.true.cols:2d} "
                 f"{one.answer:8} {one.rms_px:6.3f} px {one.cpu_s:6.1f} s  "
-                f"true: {one.true.gaps_in_words or 'none'}  {one.words[:150]}",
+                f"true: {one.true.gaps_in_words or 'none'}  {one.words[:250]}",
                 flush=True,
             )
     count = Counter(one.answer for one in answers)
-    print(" ".join(f"{count[k]} {k}" for k in ("right", "refused", "silent")), "of", len(answers))
+    print(" ".join(f"{count[k]} {k}" for k in (*ANSWERS.values(), "refused")), "of", len(answers))
     for plain in (True, False):
         rms = [
             a.rms_px for a in answers if a.answer == "right" and (a.true == a.true.plain) is plain

@@ -34,6 +34,7 @@ from pv_inspect.progress.notebook_bar import in_notebook
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.homography import register_by_homography
+from pv_inspect.registration.plane_check import check_plane
 from pv_inspect.registration.register import register
 from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
@@ -201,9 +202,11 @@ def _register(state: Inspection) -> Generator[Progress, None, Registration]:
     calibration = state.need(Calibration)
     _need_a_frame(sequence, _reasons(calibration), state.layout)
     if settings.registration_model == "homography":
+        # Without a lens lines are bent whatever the layout is: nothing to compare it with.
         crossings = state.need(Crossings)
         return (yield from register_by_homography(sequence, crossings, settings, calibration))
-    return (yield from register(sequence, calibration, settings))
+    registration = yield from register(sequence, calibration, settings)
+    return replace(registration, misfit=check_plane(sequence, registration))
 
 
 def _reconstruct(state: Inspection) -> Generator[Progress, None, Reconstruction]:

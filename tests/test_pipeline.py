@@ -39,7 +39,9 @@ class Stages:
         self.reconstruction: Any = made_reconstruction()
         for name in ("detect", "calibrate", "register", "reconstruct", "cut_cells", "read_cracks"):
             monkeypatch.setattr(pipeline, name, getattr(self, name))
+        self.misfit = ""
         monkeypatch.setattr(pipeline, "need_memory", lambda *_: None)
+        monkeypatch.setattr(pipeline, "check_plane", lambda *_: self.misfit)
         monkeypatch.setattr(FakeSequence, "frame", lambda *_: SEQUENCE, raising=False)
         monkeypatch.setattr(FakeSequence, "image", None, raising=False)
         monkeypatch.setattr(pipeline, "register_by_homography", self.register_by_homography)
@@ -108,6 +110,13 @@ def test_a_run_passes_all_stages_and_is_complete(stages: Stages) -> None:
         "CrackMap",
     ]
     assert inspect(SEQUENCE).complete
+
+
+def test_a_layout_that_does_not_fit_the_registered_frames_is_a_doubt(stages: Stages) -> None:
+    stages.misfit = "The layout does not fit."
+    assert inspect(SEQUENCE).doubts[:1] == ("The layout does not fit.",)
+    # Without a lens the lines are bent in any case.
+    assert inspect(SEQUENCE, Settings(registration_model="homography")).doubts == ()
 
 
 def test_the_fraction_never_falls_and_ends_at_one(stages: Stages) -> None:

@@ -55,9 +55,9 @@ def doubts_of(inspection: Inspection) -> tuple[str, ...]:
     tuple of str
         One sentence each, the gravest first; empty if there is no doubt.
     """
-    return tuple(
-        sentence for sentence in (_contradiction(inspection), _blindness(inspection)) if sentence
-    )
+    misfit = inspection.need(Registration).misfit
+    sentences = (misfit, _contradiction(inspection), _blindness(inspection))
+    return tuple(sentence for sentence in sentences if sentence)
 
 
 def warnings_of(inspection: Inspection) -> tuple[str, ...]:

@@ -41,6 +41,8 @@ class Registration:
     comparable : bool
         Whether frames of another module would have been noticed; False where nothing tells the
         cells apart.
+    misfit : str
+        A sentence on what of the layout the image of all frames contradicts; empty if nothing.
     """
 
     layout: ModuleLayout
@@ -52,6 +54,7 @@ class Registration:
     offset: Array
     rms: Array
     comparable: bool = True
+    misfit: str = ""
 
     def crossings_px(self, frame: int) -> Array:
         """Crossing points of the layout in one frame: (n_crossings, 2), LR pixels."""

@@ -33,6 +33,16 @@ def test_frames_that_contradict_the_image_put_it_in_doubt(residual: float, doubt
     assert all("same module" in doubt for doubt in doubts)
 
 
+def test_a_layout_that_the_frames_contradict_is_the_first_doubt() -> None:
+    made = made_inspection(
+        reconstruction=replace(made_reconstruction(), residual_rms=(9.0, np.nan, 9.0))
+    )
+    assert made.registration is not None
+    doubts = doubts_of(replace(made, registration=replace(made.registration, misfit="No fit.")))
+    assert doubts[0] == "No fit."
+    assert len(doubts) == 2
+
+
 def test_an_image_that_differs_from_the_only_frame_is_in_doubt() -> None:
     made = made_inspection(
         reconstruction=replace(made_reconstruction(), residual_rms=(14.8, np.nan, np.nan))
