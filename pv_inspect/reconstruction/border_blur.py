@@ -93,8 +93,8 @@ def blur_of_borders(samples: BorderSamples, lengths: Array) -> BorderBlur | None
     if profiles is None:
         return None
     fits: dict[Shape, BorderFit] = {
-        "gaussian": fit_borders(profiles, "gaussian"),
-        "disc": fit_borders(profiles, "disc"),
+        "gaussian": fit_borders(profiles, "gaussian", first),
+        "disc": fit_borders(profiles, "disc", first),
     }
     motion = _motion_of(profiles)
     told = fits["gaussian"].cost - fits["disc"].cost

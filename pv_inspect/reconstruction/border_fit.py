@@ -62,6 +62,10 @@ class BorderFit:
         Second moment along the axis of what blurs the frame, without the pixel, LR px^2.
     covariance : (n, n) float64
         Of the moments.
+    shifts : (n,) float64
+        Displacement of the lines, LR px.
+    shared : (n_shared,) float64
+        What all frames share: gaps, rims and dark sides.
     gap : float
         Width of the gap between cells, LR px.
     cost : float
@@ -74,18 +78,24 @@ class BorderFit:
     pairs: NDArray[np.int64]
     moments: Array
     covariance: Array
+    shifts: Array
+    shared: Array
     gap: float
     cost: float
     misfit: float
 
 
-def fit_borders(profiles: BorderProfiles, shape: Shape) -> BorderFit:
+def fit_borders(
+    profiles: BorderProfiles, shape: Shape, first: BorderFit | None = None
+) -> BorderFit:
     """Fit the blur of every frame and axis with one module.
 
     Parameters
     ----------
     profiles : BorderProfiles
     shape : {"gaussian", "disc"}
+    first : BorderFit, optional
+        Of all these frames and axes and perhaps others, to start from.
 
     Notes
     -----
@@ -93,7 +103,7 @@ def fit_borders(profiles: BorderProfiles, shape: Shape) -> BorderFit:
     this frame only, so that the parameters of all frames are differentiated at once.
     """
     model = _Model(profiles, shape)
-    at = model.start.copy()
+    at = model.start.copy() if first is None else model.start_from(first)
     r = model.residual(at)
     cost, damping = model.cost(at, r), 1e-2
     normal = np.eye(len(at))
@@ -120,7 +130,8 @@ def fit_borders(profiles: BorderProfiles, shape: Shape) -> BorderFit:
     misfit = float((r**2).sum() / max(int((model.weight > 0).sum()), 1))
     covariance = np.asarray(np.linalg.inv(normal)[:n, :n], np.float64) * max(misfit, 1.0)
     gap = float(np.mean(at[2 * n : 2 * n + 2]))
-    return BorderFit(model.pairs, at[:n], covariance, gap, cost, misfit)
+    shifts, shared = at[n : 2 * n], at[2 * n :]
+    return BorderFit(model.pairs, at[:n], covariance, shifts, shared, gap, cost, misfit)
 
 
 class _Model:
@@ -147,6 +158,11 @@ class _Model:
         self._step = np.array([e[2] for e in each])
         self.low = np.array([e[3][0] for e in each])
         self.high = np.array([e[3][1] for e in each])
+
+    def start_from(self, first: BorderFit) -> Array:
+        """Parameters of a fit to more profiles."""
+        known = np.searchsorted(first.pairs, self.pairs)
+        return np.concatenate([first.moments[known], first.shifts[known], first.shared])
 
     def residual(self, at: Array) -> Array:
         """Profiles less the model, (n_profiles, BINS), in standard deviations."""

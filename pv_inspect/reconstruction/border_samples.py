@@ -105,6 +105,7 @@ def border_samples(
         Of all frames of the sequence.
     """
     found: list[BorderSamples] = []
+    scale = registration.lr_px_per_unit
     for k, i in enumerate(frames):
         g, weights = observed(sequence, registration, int(i), photometry)
         to_module = np.linalg.inv(registration.homographies[i])
@@ -112,7 +113,7 @@ def border_samples(
         for start in range(0, g.shape[0], _STRIP):
             part = (slice(start, start + _STRIP), slice(None))
             frame = _Frame(k, g[part], weights[part] > 0, rays.cut(part), to_module, motion[i])
-            seen += frame.samples(registration.layout, registration.lr_px_per_unit)
+            seen += frame.samples(registration.layout, scale)
         found.append(_thinned(_joined(seen)))
     return _joined(found)
 
@@ -134,7 +135,6 @@ class _Frame:
         with np.errstate(divide="ignore", invalid="ignore"):
             at = homogeneous[..., :2] / homogeneous[..., 2:]
         valid = self.valid & (homogeneous[..., 2] > 0)
-        at = np.where((valid & np.isfinite(at).all(axis=-1))[..., None], at, -1e6)
         widths = (1.0, 1.0 / layout.cell_aspect)
         lines, wide = (layout.col_lines, layout.row_lines), (layout.col_gaps, layout.row_gaps)
         starts = (layout.col_starts, layout.row_starts)
@@ -143,16 +143,18 @@ class _Frame:
             if layout.cell_gap[axis] * lr_px_per_unit > _WIDE_GAP_LR_PX:
                 continue
             line, other = lines[axis], starts[1 - axis]
-            across, along = at[..., axis], at[..., 1 - axis]
-            nearest = np.searchsorted((line[1:] + line[:-1]) / 2, across)
+            nearest = np.searchsorted((line[1:] + line[:-1]) / 2, at[..., axis])
+            near = np.abs(at[..., axis] - line[nearest]) * lr_px_per_unit < 1.5 * REACH_LR_PX
+            px = np.nonzero(near & valid)
+            # The rest is looked at for these few only.
+            nearest, along = nearest[px], at[..., 1 - axis][px]
             cell = np.searchsorted(other, along) - 1
             inside = (along - other[cell]) / widths[1 - axis]
-            near = np.abs(across - line[nearest]) * lr_px_per_unit < 1.5 * REACH_LR_PX
-            near &= (cell >= 0) & (inside > _INNER[0]) & (inside < _INNER[1])
+            keep = (cell >= 0) & (inside > _INNER[0]) & (inside < _INNER[1])
             for before, _ in wide[axis]:
-                near &= nearest != before
-            px = np.nonzero(near)
-            place, nearest, cell = at[px], nearest[px], cell[px]
+                keep &= nearest != before
+            px = (px[0][keep], px[1][keep])
+            nearest, cell, inside, place = nearest[keep], cell[keep], inside[keep], at[px]
             # d module / d pixel of the coordinate across the line.
             M, w = self.to_module, homogeneous[px][:, 2:]
             by_ray = (M[axis, :2] - place[:, axis, None] * M[2, :2]) / w
@@ -162,7 +164,7 @@ class _Frame:
             segment = (axis * most + nearest) * most + cell
             length = widths[1 - axis] * lr_px_per_unit
             pieces = max(int(length / _PIECE_LR_PX), 1)
-            piece = np.minimum((inside[px] * pieces).astype(np.int64), pieces - 1)
+            piece = np.minimum((inside * pieces).astype(np.int64), pieces - 1)
             yield BorderSamples(
                 np.full(len(cell), self.number),
                 np.full(len(cell), axis),
