@@ -12,8 +12,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numba
 from numba.core.caching import FunctionCache
+from numpy.typing import NDArray
 
-__all__ = ["cache_problem", "compiled"]
+__all__ = ["cache_problem", "compiled", "read_only"]
 
 _problems: list[str] = []
 
@@ -40,6 +41,17 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         return dispatcher
 
     return decorated
+
+
+def read_only(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Views of arrays that can't be written.
+
+    A compiled function is compiled once more for arrays that can be written; its inputs are not.
+    """
+    views = tuple(array.view() for array in arrays)
+    for view in views:
+        view.flags.writeable = False
+    return views
 
 
 def cache_problem() -> str:

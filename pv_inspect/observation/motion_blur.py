@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.compiling import compiled
+from pv_inspect.common.compiling import compiled, read_only
 from pv_inspect.observation.taps import fill_taps, locate
 
 __all__ = ["STILL", "MovingFrame", "detail_left", "length_and_angle", "motion_of", "samples_of"]
@@ -123,13 +123,15 @@ class MovingFrame:
         if wanted is None:
             wanted = np.ones(rays.shape[:2], bool)
         path = np.append(motion, float(count))
-        rows = np.zeros(rays.shape[0] + 1, np.int64)
-        _count_rows(to_hr, rays, per_px, moments, path, shape, wanted, rows)
-        starts = np.cumsum(rows)
-        pixels = np.empty(starts[-1], np.int64)
-        places = np.empty((starts[-1], 7), dtype)
-        _fill_rows(to_hr, rays, per_px, moments, path, shape, wanted, starts, pixels, places)
-        bands = np.append(starts[:-1:_BAND_ROWS], starts[-1])
+        inputs = read_only(to_hr, rays, per_px, moments, path)
+        ends = np.zeros(rays.shape[0] + 1, np.int64)
+        pixels, places = np.empty(0, np.int64), np.empty((0, 7), dtype)
+        _place_rows(*inputs, shape, wanted, ends, pixels, places)
+        ends = np.cumsum(ends)
+        if ends[-1]:
+            pixels, places = np.empty(ends[-1], np.int64), np.empty((ends[-1], 7), dtype)
+            _place_rows(*inputs, shape, wanted, ends, pixels, places)
+        bands = np.append(ends[:-1:_BAND_ROWS], ends[-1])
         return cls(pixels, places, bands, count)
 
     def sample(self, blurred: Image) -> Image:
@@ -156,33 +158,28 @@ class MovingFrame:
 
 
 @compiled(parallel=True)
-def _count_rows(M, rays, per_px, moments, motion, shape, wanted, rows):  # type: ignore[no-untyped-def]
-    for row in numba.prange(rays.shape[0]):
-        place = np.empty(7)
-        n = 0
-        for col in range(rays.shape[1]):
-            if wanted[row, col] and locate(
-                M, rays[row, col], per_px[row, col], moments, motion, shape, place
-            ):
-                n += 1
-        rows[row + 1] = n
-
-
-@compiled(parallel=True)
-def _fill_rows(  # type: ignore[no-untyped-def]
-    M, rays, per_px, moments, motion, shape, wanted, starts, pixels, places
+def _place_rows(  # type: ignore[no-untyped-def]
+    M, rays, per_px, moments, motion, shape, wanted, ends, pixels, places
 ):
+    """Pixels and places of the rows, which begin at the ``ends`` of those before.
+
+    Without room for places the pixels are only counted, into ``ends``.
+    """
+    count_only = places.shape[0] == 0
     for row in numba.prange(rays.shape[0]):
         place = np.empty(7)
-        at = starts[row]
+        at = 0 if count_only else ends[row]
         for col in range(rays.shape[1]):
             if wanted[row, col] and locate(
                 M, rays[row, col], per_px[row, col], moments, motion, shape, place
             ):
-                pixels[at] = row * rays.shape[1] + col
-                for k in range(7):
-                    places[at, k] = place[k]
+                if not count_only:
+                    pixels[at] = row * rays.shape[1] + col
+                    for k in range(7):
+                        places[at, k] = place[k]
                 at += 1
+        if count_only:
+            ends[row + 1] = at
 
 
 @compiled(parallel=True, fastmath={"contract", "reassoc"})

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.compiling import compiled
+from pv_inspect.common.compiling import compiled, read_only
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.motion_blur import STILL, MovingFrame
@@ -93,19 +94,11 @@ class NormalEquations:
             self._add_moving(model, H, g, weights, motion)
             return
         self.n_still += 1
-        energy, n = _accumulate(
-            model.to_hr(H),
-            rays.xy,
-            rays.per_px,
-            model.moments,
-            np.append(motion, 1.0),
-            g,
-            weights,
-            self.stencil.planes,
-            self.back_projection,
-        )
-        self.energy += float(energy)
-        self.n_pixels += int(n)
+        path = np.append(motion, 1.0)
+        inputs = (model.to_hr(H), rays.xy, rays.per_px, model.moments, path, g, weights)
+        energy, n = _accumulate(inputs, self.stencil.planes, self.back_projection)
+        self.energy += energy
+        self.n_pixels += n
 
     def _add_moving(
         self, model: ObservationModel, H: Array, g: Image, weights: Image, motion: Array
@@ -162,52 +155,65 @@ class NormalEquations:
         return self.stencil.apply(ones) if self.n_still else np.zeros_like(ones)
 
 
-@compiled(parallel=True)
-def _accumulate(  # type: ignore[no-untyped-def]
-    M, rays, per_px, moments, motion, g, weights, planes, back
-):
+def _accumulate(
+    inputs: tuple[NDArray[Any], ...], planes: NDArray[Any], back: NDArray[Any]
+) -> tuple[float, int]:
     """Add S' V^-1 S and S' V^-1 g of one frame; returns g' V^-1 g and the number of pixels.
 
     Bands of LR rows run in two phases: the bands of one phase lie a band apart, and so do their
     taps on the HR grid. The sums do not depend on the number of threads.
     """
-    height = rays.shape[0]
-    n_bands = (height + _BAND_ROWS - 1) // _BAND_ROWS
+    height = inputs[1].shape[0]
+    n_bands = -(-height // _BAND_ROWS)
     energy = np.zeros(n_bands)
     count = np.zeros(n_bands, np.int64)
+    _add_bands(*read_only(*inputs), planes, back, energy, count)
+    return float(energy.sum()), int(count.sum())
+
+
+@compiled(parallel=True)
+def _add_bands(  # type: ignore[no-untyped-def]
+    M, rays, per_px, moments, motion, g, weights, planes, back, energy, count
+):
     for phase in range(2):
-        for half in numba.prange((n_bands - phase + 1) // 2):
+        for half in numba.prange((len(count) - phase + 1) // 2):
             band = 2 * half + phase
-            place = np.empty(7)
-            taps = np.empty(9)
-            weighted = np.empty(9, planes.dtype)
-            narrow = np.empty(9, planes.dtype)
-            for row in range(band * _BAND_ROWS, min(height, (band + 1) * _BAND_ROWS)):
-                for col in range(rays.shape[1]):
-                    weight = weights[row, col]
-                    if not weight > 0.0:
-                        continue
-                    if not locate(
-                        M, rays[row, col], per_px[row, col], moments, motion, back.shape, place
-                    ):
-                        continue
-                    iy, ix = fill_taps(place[0], place[1], place[4], place[5], place[6], taps)
-                    value = np.float64(g[row, col])
-                    energy[band] += weight * value * value
-                    count[band] += 1
-                    for t in range(9):
-                        weighted[t] = weight * taps[t]
-                        narrow[t] = taps[t]
-                    for ay in range(3):
-                        y = iy + ay - 1
-                        for ax in range(3):
-                            x = ix + ax - 1
-                            c = weighted[3 * ay + ax]
-                            back[y, x] += c * value
-                            for bx in range(ax, 3):
-                                planes[bx - ax, y, x] += c * narrow[3 * ay + bx]
-                            for by in range(ay + 1, 3):
-                                for bx in range(3):
-                                    k = 5 * (by - ay) + bx - ax
-                                    planes[k, y, x] += c * narrow[3 * by + bx]
-    return energy.sum(), count.sum()
+            _add_band(
+                band, M, rays, per_px, moments, motion, g, weights, planes, back, energy, count
+            )
+
+
+@compiled()
+def _add_band(  # type: ignore[no-untyped-def]
+    band, M, rays, per_px, moments, motion, g, weights, planes, back, energy, count
+):
+    place = np.empty(7)
+    taps = np.empty(9)
+    weighted = np.empty(9, planes.dtype)
+    narrow = np.empty(9, planes.dtype)
+    for row in range(band * _BAND_ROWS, min(rays.shape[0], (band + 1) * _BAND_ROWS)):
+        for col in range(rays.shape[1]):
+            weight = weights[row, col]
+            if not weight > 0.0:
+                continue
+            if not locate(M, rays[row, col], per_px[row, col], moments, motion, back.shape, place):
+                continue
+            iy, ix = fill_taps(place[0], place[1], place[4], place[5], place[6], taps)
+            value = np.float64(g[row, col])
+            energy[band] += weight * value * value
+            count[band] += 1
+            for t in range(9):
+                weighted[t] = weight * taps[t]
+                narrow[t] = taps[t]
+            for ay in range(3):
+                y = iy + ay - 1
+                for ax in range(3):
+                    x = ix + ax - 1
+                    c = weighted[3 * ay + ax]
+                    back[y, x] += c * value
+                    for bx in range(ax, 3):
+                        planes[bx - ax, y, x] += c * narrow[3 * ay + bx]
+                    for by in range(ay + 1, 3):
+                        for bx in range(3):
+                            k = 5 * (by - ay) + bx - ax
+                            planes[k, y, x] += c * narrow[3 * by + bx]
