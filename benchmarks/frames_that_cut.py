@@ -20,7 +20,7 @@ from time import process_time
 import cv2
 import numpy as np
 from demo import inside, psnr
-from partial_views import made, rms_px
+from drone_draws import drawn_module, made, rms_px, shown
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.pipeline import inspect_steps
@@ -29,7 +29,7 @@ from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulatedSequence, SimulationSettings, write_sequence
-from pv_inspect.simulate.exposure import Pose, camera_matrix, choose_poses, project_points
+from pv_inspect.simulate.exposure import Pose, choose_poses
 
 MAGNIFICATION = 3.0
 
@@ -37,18 +37,7 @@ MAGNIFICATION = 3.0
 def drawn(seed: int, n_frames: int) -> tuple[SimulationSettings, tuple[Pose, ...]]:
     """Draw a module, a camera and views, every second of which cuts the module."""
     rng = np.random.default_rng([1403, seed])
-    rows, cols = ((3, 6), (4, 6), (6, 6), (6, 10), (6, 12), (5, 9))[int(rng.integers(6))]
-    settings = SimulationSettings(
-        seed=seed, rows=rows, cols=cols, n_frames=n_frames, width=400, height=320,
-        wafer=str(rng.choice(["multi", "mono"])), busbars=int(rng.integers(2, 7)),
-        busbar_style=str(rng.choice(["solid", "dashed"])),
-        crack_share=float(rng.uniform(0, 0.5)), dark_cell_share=float(rng.choice([0.0, 0.03])),
-        kappa=float(rng.uniform(-0.15, 0.05)), psf_sigma_px=float(rng.uniform(0.4, 0.7)),
-        tilt_deg=float(rng.uniform(0, 15)), tilt_axis_deg=float(rng.uniform(0, 360)),
-        roll_deg=float(rng.uniform(-6, 6)), fill=float(rng.uniform(0.75, 0.9)),
-        jitter_px=3.0, motion_blur_px=0.3,
-        exposure=float(rng.choice([0.4, 0.7])), pixels_per_unit=150, supersampling=3,
-    )  # fmt: skip
+    settings = drawn_module(seed, rng, n_frames, (-0.15, 0.05), tilted=True)
     poses = list(choose_poses(settings, rng))
     for k in range(1, n_frames, 2):
         poses[k] = _beside(settings, poses[k], rng)
@@ -57,20 +46,15 @@ def drawn(seed: int, n_frames: int) -> tuple[SimulationSettings, tuple[Pose, ...
 
 def _beside(settings: SimulationSettings, pose: Pose, rng: np.random.Generator) -> Pose:
     """Move the camera so that a part of the module is cut."""
-    width, height = settings.layout.size
-    places = np.stack(np.meshgrid(np.linspace(0, width, 41), np.linspace(0, height, 41)), axis=-1)
-    end = np.array([settings.width, settings.height]) - 1
     while True:
         shift = rng.uniform(-0.6, 0.6, 2) * [settings.width, settings.height]
         if rng.random() < 0.6:
             shift[int(rng.integers(2))] = 0.0
         H = pose.H.copy()
         H[:2, 2] += shift / settings.focal_px * H[2, 2]
-        seen = project_points(camera_matrix(settings), settings.kappa, H, places.reshape(-1, 2))
-        with np.errstate(invalid="ignore"):
-            share = float(np.all((seen >= 0) & (seen <= end), axis=1).mean())
-        if 0.55 < share < 0.9:
-            return replace(pose, H=H)
+        moved = replace(pose, H=H)
+        if 0.55 < shown(settings, moved).mean() < 0.9:
+            return moved
 
 
 def answered(true: SimulatedSequence, chosen: list[int]) -> tuple[Registration, float]:

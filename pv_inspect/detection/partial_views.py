@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.grid_of_a_part import grid_of_part
-from pv_inspect.detection.joined_views import NO_PLACE, Part, part_of, poses_together
+from pv_inspect.detection.joined_views import NO_PLACE, beside_others, poses_together
 from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import Found, detect_in_frame
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.sequence.sequence import FrameSequence
@@ -24,6 +25,7 @@ __all__ = ["found_together"]
 # `python benchmarks/partial_views.py`.
 
 PROBED = 6
+BESIDE = "where its cells lie does not go with what the other frames show"
 LEAST_SHARE_FOUND = 0.5
 """Share of the joined frames in which the borders of the whole grid must be in place."""
 
@@ -83,6 +85,13 @@ def found_together(
             found[k] = detect_in_frame(sequence.frame(k).image, layout, poses[k])
         except OutlineError as error:
             reasons[k] = error
+    seen_at_last = {
+        k: part_of_module(sequence.frame(k).image, one[0], layout.cell_aspect)
+        for k, one in found.items()
+    }
+    for k in beside_others(seen_at_last):
+        del found[k]
+        reasons[k] = OutlineError(BESIDE)
     if len(found) < max(2, LEAST_SHARE_FOUND * len(poses)):
         first = next(str(reasons[k]) for k in poses if k in reasons)
         raise OutlineError(f"the grid of the whole does not lie on the parts ({first})")

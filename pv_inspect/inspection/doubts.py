@@ -10,6 +10,7 @@ from pv_inspect.detection.filled_frame import hidden_sides
 from pv_inspect.detection.orientation import runs_down
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
+from pv_inspect.inspection.coverage import unseen_sentence
 from pv_inspect.inspection.figures import known_median
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -55,8 +56,14 @@ def doubts_of(inspection: Inspection) -> tuple[str, ...]:
     tuple of str
         One sentence each, the gravest first; empty if there is no doubt.
     """
-    misfit = inspection.need(Registration).misfit
-    sentences = (misfit, _contradiction(inspection), _blindness(inspection))
+    registration = inspection.need(Registration)
+    unseen = unseen_sentence(registration, inspection.frames.shape)
+    sentences = (
+        registration.misfit,
+        _contradiction(inspection),
+        unseen,
+        _blindness(inspection),
+    )
     return tuple(sentence for sentence in sentences if sentence)
 
 

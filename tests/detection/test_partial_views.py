@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.work import result_of
 from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
-from pv_inspect.detection.joined_views import Part, part_of, poses_together
+from pv_inspect.detection.joined_views import beside_others, poses_together
 from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -118,3 +119,69 @@ def test_cells_that_all_look_alike_are_not_put_together(parts: dict[int, Part]) 
     }
     with pytest.raises(OutlineError, match="does not fit together at one place only"):
         poses_together(alike, LAYOUT)
+
+
+def _windows(places: list[tuple[int, int]], rows: int, cols: int) -> dict[int, Part]:
+    """Pictures of so many rows and columns of a module of 5 x 6 cells with a dark rim of a cell."""
+    rng = np.random.default_rng(4)
+    bright = np.zeros((7 * 12, 8 * 12), bool)
+    bright[12:-12, 12:-12] = True
+    details = np.where(bright, rng.normal(0, 0.1, (7 * 12, 8 * 12)), 0).astype(np.float32)
+    pose = Pose(Camera(np.eye(3), 0.0), np.eye(3))
+    parts = {}
+    for k, (row, col) in enumerate(places):
+        window = np.s_[12 * row : 12 * (row + rows), 12 * col : 12 * (col + cols)]
+        seen = bright[window]
+        parts[k] = Part(pose, np.zeros(2, np.int64), details[window], seen, np.ones_like(seen))
+    return parts
+
+
+def test_lines_of_views_overlap_by_more_than_two_of_their_frames() -> None:
+    # Frames of two lines share two cells, the lines as a whole six.
+    parts = _windows([(0, 0), (0, 2), (0, 4), (3, 0), (3, 2), (3, 4)], 4, 4)
+    poses = poses_together(parts, ModuleLayout(5, 6))
+    assert [pose.homography[:2, 2].round(6).tolist() for pose in poses.values()] == [
+        [1 - x, 1 - y] for y in (0, 3) for x in (0, 2, 4)
+    ]
+
+
+def test_cells_that_were_seen_two_by_two_are_halved(
+    frames: list[tuple[NDArray[np.float32], Pose]], parts: dict[int, Part]
+) -> None:
+    poses = poses_together(parts, ModuleLayout(6, 10))
+    points = LAYOUT.crossings()
+    for k, (_, true) in enumerate(frames):
+        assert np.abs(poses[k].project(2 * points) - true.project(points)).max() < 40 / 12
+
+
+def test_that_frames_do_not_hang_together_is_said_before_what_is_missing(
+    parts: dict[int, Part],
+) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.1, (200, 200)).astype(np.float32)
+    other = {
+        k: replace(p, details=noise[: p.details.shape[0], : p.details.shape[1]])
+        for k, p in parts.items()
+        if k in (2, 5)
+    }
+    with pytest.raises(OutlineError, match="only 4 of 6 fit together without doubt, and together"):
+        poses_together({**parts, **other}, LAYOUT)
+
+
+def test_a_frame_that_lies_beside_what_the_others_show_is_named(
+    frames: list[tuple[NDArray[np.float32], Pose]],
+) -> None:
+    at_last = {k: part_of_module(image, pose, 1.0) for k, (image, pose) in enumerate(frames)}
+    assert beside_others(at_last) == []
+    image, pose = frames[1]
+    moved = Pose(pose.camera, pose.homography @ np.array([[1.0, 0, 0], [0, 1, 0.12], [0, 0, 1]]))
+    assert beside_others({**at_last, 1: part_of_module(image, moved, 1.0)}) == [1]
+
+
+@pytest.mark.parametrize("aside", [0.13, 0.0])
+def test_a_grid_a_little_beside_the_cells_is_not_taken_for_whole_cells(
+    frames: list[tuple[NDArray[np.float32], Pose]], parts: dict[int, Part], aside: float
+) -> None:
+    image, pose = frames[2]
+    own = part_of(image, _own_grid(pose, SHIFTS[2][0], SHIFTS[2][1] + aside), 1.0)
+    poses = poses_together({**parts, 2: own}, LAYOUT)
+    assert _off_px(poses[2], pose) < 40 * 0.05
