@@ -78,6 +78,9 @@ class Bundle:
         Fixed distortion, None to fit it.
     pixel_shape : (2, 2) float64
         K[:2, :2] / focal: the identity for square pixels.
+    known_kappa : tuple of float, optional
+        Mean and standard deviation of a prior on kappa, for this focal length; about 0 and as wide
+        as lenses are if not given.
     """
 
     views: Mapping[int, View]
@@ -86,6 +89,7 @@ class Bundle:
     centre_std: float
     kappa: float | None
     pixel_shape: Array = field(default_factory=lambda: np.eye(2))
+    known_kappa: tuple[float, float] | None = None
 
     def without(self, frames: Collection[int]) -> Bundle:
         """Return the problem with some frames taken out."""
@@ -99,8 +103,9 @@ class Bundle:
     @property
     def prior(self) -> tuple[Array, Array]:
         """Mean and weight (1 / variance) of the common parameters (kappa, cx, cy)."""
-        weights = [KAPPA_STD**-2, *[self.centre_std**-2 if self.centre_std > 0 else 0.0] * 2]
-        return np.array([0.0, *self.centre]), np.array(weights)
+        kappa, kappa_std = self.known_kappa or (0.0, KAPPA_STD)
+        weights = [kappa_std**-2, *[self.centre_std**-2 if self.centre_std > 0 else 0.0] * 2]
+        return np.array([kappa, *self.centre]), np.array(weights)
 
     def fit(self, starts: Mapping[int, Array]) -> Fit:
         """Fit from homographies that ignore the distortion, h33 = 1, without a centre known.
@@ -222,9 +227,12 @@ class Fit:
         """Return the same solution in another gauge: no pixel moves."""
         ratio = focal / self.bundle.focal
         gauge = np.diag([1.0 / ratio, 1.0 / ratio, 1.0])
+        known = self.bundle.known_kappa
+        if known is not None:
+            known = known[0] * ratio**2, known[1] * ratio**2
         return replace(
             self,
-            bundle=replace(self.bundle, focal=focal),
+            bundle=replace(self.bundle, focal=focal, known_kappa=known),
             homographies={i: gauge @ H for i, H in self.homographies.items()},
             common=self.common * [ratio**2, 1.0, 1.0],
         )

@@ -10,13 +10,15 @@ given, or read off the homographies as in Zhang's method where they determine it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.calibration.bundle_adjustment import Bundle
 from pv_inspect.calibration.camera_file import KnownCamera, read_camera
+from pv_inspect.calibration.camera_profile import CameraProfile, read_profile
 from pv_inspect.calibration.focal_length import (
     FOCAL_TOLERANCE,
     focal_length,
@@ -114,7 +116,8 @@ def calibrate(
     settings : Settings
         ``kappa`` and ``focal_length_px`` are fixed if given. A kappa that is given without a
         focal length belongs to the focal length that `calibrate` finds. ``calibration_file`` fixes
-        the whole K and, unless ``kappa`` is given, its own kappa.
+        the whole K and, unless ``kappa`` is given, its own kappa. What ``camera_profile`` says of
+        kappa and the principal point acts as a prior where they are not fixed.
     principal_point_std_px : float, optional
         How far the principal point, the centre of distortion, may lie off the image centre: the
         standard deviation of a prior, default 1/128 of the larger image side. 0 fixes it.
@@ -139,6 +142,8 @@ def calibrate(
         std if known is None else 0.0,
         settings.kappa if known is None else known.kappa,
     )
+    if settings.camera_profile is not None and known is None:
+        bundle = with_profile(bundle, read_profile(settings.camera_profile, image_shape))
     cell = min(1.0, 1.0 / crossings.layout.cell_aspect) * float(to_unit[0, 0])
     fit = fit_without_outlier_frames(bundle, starts, cell, frames)
 
@@ -173,6 +178,16 @@ def calibrate(
         kappa_std=fit.kappa_std,
         crossing_sigma_px=sigma,
     )
+
+
+def with_profile(bundle: Bundle, profile: CameraProfile) -> Bundle:
+    """Return the problem with what a camera profile says of lens and principal point as a prior."""
+    kappa, point = profile.kappa_at(bundle.focal), profile.principal_point
+    if kappa is not None and bundle.kappa is None:
+        bundle = replace(bundle, known_kappa=(kappa.value, kappa.error))
+    if point is not None and bundle.centre_std > 0:
+        bundle = replace(bundle, centre=point[0], centre_std=point[1])
+    return bundle
 
 
 def _known_camera(image_shape: tuple[int, int], settings: Settings) -> KnownCamera | None:

@@ -1,4 +1,4 @@
-"""The command line: ``pv-inspect run | cracks | review | simulate | gui``."""
+"""The command line: ``pv-inspect run | calibrate | cracks | review | simulate | gui``."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pv_inspect._version import __version__
 from pv_inspect.cli import cracks as cli_cracks
 from pv_inspect.cli import gui as cli_gui
 from pv_inspect.cli import review as cli_review
+from pv_inspect.cli.calibrate import calibrate
 from pv_inspect.cli.common import (
     Commands,
     Debug,
@@ -114,6 +115,7 @@ def review(
         cli_review.review_of(folder, module, cleanup, export=export, quiet=quiet)
 
 
+app.command()(calibrate)
 app.command()(simulate)
 
 

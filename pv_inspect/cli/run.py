@@ -72,6 +72,7 @@ def run(
     with one_sentence_on_errors(debug) as cleanup:
         # Imported here: --help and --version answer at once.
         from pv_inspect.calibration.camera_file import read_camera
+        from pv_inspect.calibration.camera_profile import read_profile
         from pv_inspect.inspection.summary import summary
         from pv_inspect.pipeline import inspect_steps
         from pv_inspect.progress.follow import follow
@@ -98,6 +99,8 @@ def run(
         opened.indices((*wanted, *settings.keep_frames, *settings.skip_frames))
         if settings.calibration_file is not None:  # complain before the long part
             read_camera(settings.calibration_file, opened.shape)
+        if settings.camera_profile is not None:
+            read_profile(settings.camera_profile, opened.shape)
         inspection = follow(inspect_steps(opened, settings), quiet=quiet)
         write_result(inspection, out, place)
         if quiet:

@@ -29,6 +29,7 @@ __all__ = [
     "huber_weights",
     "mean_illumination",
     "observed",
+    "photometry_of",
 ]
 
 Array = NDArray[np.float64]
@@ -94,9 +95,23 @@ def falloff_alone(sequence: FrameSequence, registration: Registration) -> Photom
     found = falloff_of_parts(sequence, registration)
     if found is None:
         return None
-    light = found.illumination(registration.camera, sequence.shape)
+    return photometry_of(Vignetting(found.coefficients, found.deviations), sequence, registration)
+
+
+def photometry_of(
+    vignetting: Vignetting, sequence: FrameSequence, registration: Registration
+) -> Photometry:
+    """Return a sensor of which the vignetting alone is known.
+
+    Parameters
+    ----------
+    vignetting : Vignetting
+    sequence : FrameSequence
+    registration : Registration
+        Its camera says where the principal point is.
+    """
+    light = vignetting.illumination(registration.camera, sequence.shape)
     ideal = Photometry.ideal(len(sequence), sequence.shape)
-    vignetting = Vignetting(found.coefficients, found.deviations)
     return replace(
         ideal, response=light.astype(np.float32), vignetting=vignetting, illumination=light
     )

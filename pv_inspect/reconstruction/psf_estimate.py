@@ -10,7 +10,11 @@ __all__ = ["PsfEstimate", "PsfShape"]
 
 PsfShape = Literal["gaussian", "disc", "unknown"]
 
-_SOURCES = {"borders": "the borders of the cells", "pixels": "held-out pixels"}
+_SOURCES = {
+    "borders": "the borders of the cells",
+    "pixels": "held-out pixels",
+    "camera profile": "the camera profile",
+}
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.calibration.camera_profile import read_profile
 from pv_inspect.common.work import Progress, forwarded
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.grid import HrGrid
@@ -20,7 +21,9 @@ from pv_inspect.photometry.photometry import (
     estimate_photometry,
     falloff_alone,
     mean_illumination,
+    photometry_of,
 )
+from pv_inspect.photometry.vignetting import Vignetting
 from pv_inspect.reconstruction.accumulation import Accumulation
 from pv_inspect.reconstruction.cell_sight import sight_of
 from pv_inspect.reconstruction.held_out import View, cut_view
@@ -33,7 +36,8 @@ from pv_inspect.reconstruction.prior_weight import (
     typical_prior_weight,
     windows_of,
 )
-from pv_inspect.reconstruction.psf_combination import TYPICAL
+from pv_inspect.reconstruction.profile_psf import evidence_of
+from pv_inspect.reconstruction.psf_combination import combined
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX
 from pv_inspect.reconstruction.psf_evidence import (
@@ -105,7 +109,14 @@ def reconstruct(
         yield Progress(0.03, "estimating the motion blur")
         motion = estimate_motion(sequence, registration)
     require_memory(sequence.shape, int(used.size), grid, motion)
+    profile = None
+    if settings.camera_profile is not None:
+        profile = read_profile(settings.camera_profile, sequence.shape)
     photometry = falloff_alone(sequence, registration)
+    if photometry is None and profile is not None and profile.vignetting is not None:
+        fall = profile.vignetting
+        known = Vignetting(fall.coefficients, fall.deviations)
+        photometry = photometry_of(known, sequence, registration)
     draft: Image | None = None
     if settings.second_pass:
         assumed = values_in_use(settings).psf_sigma_lr_px
@@ -114,7 +125,8 @@ def reconstruct(
         del first
         release()
     sampling = sampling_of(registration, sequence.shape)
-    psf, borders = TYPICAL, None
+    further = evidence_of(profile)
+    psf, borders = combined(None, None, registration.lr_px_per_unit, further), None
     if sampling and (settings.psf_sigma_lr_px is None or motion.any()):
         yield Progress(0.25, "reading the borders of the cells")
         borders = read_borders(sequence, registration, photometry, rays, motion)
@@ -122,7 +134,9 @@ def reconstruct(
     if settings.psf_sigma_lr_px is not None:
         psf = PsfEstimate(settings.psf_sigma_lr_px, 0.0, "given")
     elif sampling:
-        psf = yield from estimate_psf(sequence, registration, photometry, rays, motion, borders)
+        psf = yield from estimate_psf(
+            sequence, registration, photometry, rays, motion, borders, further
+        )
         if psf.evidence == "pixels":
             # Held-out pixels of few frames are folded as those that predict them; borders are not.
             psf = replace(psf, sigma=between(TYPICAL_SIGMA_LR_PX, psf.sigma, sampling))

@@ -285,10 +285,11 @@ def _straightened(
     fitted = straighten(module, grid, state.camera, state.homographies[state.used], kappa_std)
     if fitted is None:
         return None
-    camera, poses = fitted
+    camera, poses = fitted.camera, fitted.homographies
     homographies = state.homographies.copy()
     homographies[state.used] = poses
-    return replace(state, camera=camera, homographies=homographies)
+    errors = (fitted.kappa_error, fitted.centre_error_px) if kappa_std > 0 else None
+    return replace(state, camera=camera, homographies=homographies, camera_errors=errors)
 
 
 def _anchored(state: Registration, anchor: Calibration | Registration) -> Registration:

@@ -43,6 +43,9 @@ class Registration:
         cells apart.
     misfit : str
         A sentence on what of the layout the image of all frames contradicts; empty if nothing.
+    camera_errors : tuple of float, optional
+        Standard deviations of kappa and of the principal point per axis, LR px, where the gaps of
+        the module image told them.
     """
 
     layout: ModuleLayout
@@ -55,6 +58,7 @@ class Registration:
     rms: Array
     comparable: bool = True
     misfit: str = ""
+    camera_errors: tuple[float, float] | None = None
 
     def crossings_px(self, frame: int) -> Array:
         """Crossing points of the layout in one frame: (n_crossings, 2), LR pixels."""

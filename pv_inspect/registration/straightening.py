@@ -7,6 +7,8 @@ the cells are straight and evenly spaced: what they show of a bend is taken out.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.registration.seen_lines import seen_lines
 
-__all__ = ["sharpened", "straighten"]
+__all__ = ["Straightened", "sharpened", "straighten"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -41,13 +43,31 @@ CENTRE_STD_PX = 1.0
 """How far the principal point may go from where the calibration put it."""
 
 
+@dataclass(frozen=True, eq=False)
+class Straightened:
+    """What the gaps say of the camera.
+
+    Parameters
+    ----------
+    camera : Camera
+    homographies : (n, 3, 3) float64
+    kappa_error, centre_error_px : float
+        Standard deviations of kappa and of the principal point, per axis; 0 if they were kept.
+    """
+
+    camera: Camera
+    homographies: Array
+    kappa_error: float
+    centre_error_px: float
+
+
 def straighten(
     module: Image,
     grid: HrGrid,
     camera: Camera,
     homographies: Array,
     kappa_std: float,
-) -> tuple[Camera, Array] | None:
+) -> Straightened | None:
     """Choose camera and poses so that the gaps of the module image are where they should be.
 
     Parameters
@@ -65,7 +85,7 @@ def straighten(
 
     Returns
     -------
-    Camera, (n, 3, 3) float64, or None
+    Straightened or None
         None if too few gaps are seen or they do not determine it.
 
     Notes
@@ -89,7 +109,7 @@ def straighten(
     )
     if offsets.found.sum() < MIN_GAPS:
         return None
-    solution = _fit(edges, offsets, camera, homographies, grid, kappa_std)
+    solution, errors = _fit(edges, offsets, camera, homographies, grid, kappa_std)
     if not np.isfinite(solution).all():
         return None
     ideal = layout.crossings()
@@ -100,7 +120,10 @@ def straighten(
     poses = [Pose(camera, H).under(fitted, ideal, appears) for H in homographies]
     known = [pose.homography for pose in poses if pose is not None]
     whole = len(known) == len(poses) and np.isfinite(known).all()
-    return (fitted, np.array(known)) if whole else None
+    if not whole:
+        return None
+    centre_error = float(np.sqrt(np.square(errors[1:]).mean()))
+    return Straightened(fitted, np.array(known), float(errors[0]), centre_error)
 
 
 def _seen_width(sharp: Image, grid: HrGrid) -> float:
@@ -138,7 +161,8 @@ def _fit(
     homographies: Array,
     grid: HrGrid,
     kappa_std: float,
-) -> Array:
+) -> tuple[Array, Array]:
+    """Solution, and standard deviations of kappa and the principal point."""
     scale = grid.pixels_per_unit / grid.magnification
     use = offsets.found
     basis = _basis(edges.middle, camera, homographies, edges)
@@ -158,7 +182,9 @@ def _fit(
         residual = (values - rows / size @ solution) / sigma
         usual = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), 1e-3)
         weight = 1 / (1 + (residual / (CAUCHY * usual)) ** 2)
-    return np.asarray(solution / size)
+    covariance = np.linalg.pinv(design.T @ design)
+    errors = np.sqrt(np.diag(covariance)[8:]) / size[8:] * (kappa_std > 0)
+    return np.asarray(solution / size), np.asarray(errors)
 
 
 def _basis(points: Array, camera: Camera, homographies: Array, edges: CellEdges) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +111,9 @@ def _read_result(folder: Path) -> Inspection:
         None,
         settings,
         layout,
-        registration=_registration(layout, camera, record.frames),
+        registration=replace(
+            _registration(layout, camera, record.frames), camera_errors=record.camera.errors
+        ),
         reconstruction=reconstruction,
         tiles=cut_cells(reconstruction),
         cracks=CrackMap(

@@ -46,12 +46,14 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     record = {
         "format": ResultRecord.newest_format,
         **reconstruction.grid.to_dict(),
+        "frame_px": inspection.frames.shape[::-1],
         "rows": layout.rows,
         "cols": layout.cols,
         "layout": asdict(layout),
         "camera": {
             "K": registration.camera.K,
             "kappa": registration.camera.kappa,
+            **_camera_errors(inspection),
             "focal_length": focal_length_source(
                 registration.camera, inspection.frames.shape, inspection.settings
             ),
@@ -89,6 +91,16 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     }
     plain: dict[str, Any] = plain_types(record)
     return plain
+
+
+def _camera_errors(inspection: Inspection) -> dict[str, float]:
+    """How well kappa and the principal point are known: by gaps, or else by crossing points."""
+    errors, calibration = inspection.need(Registration).camera_errors, inspection.calibration
+    if errors is not None:
+        return {"kappa_error": errors[0], "principal_point_error_px": errors[1]}
+    if calibration is not None and calibration.kappa_std > 0:
+        return {"kappa_error": calibration.kappa_std}
+    return {}
 
 
 def _edits(inspection: Inspection, i: int) -> list[dict[str, Any]]:

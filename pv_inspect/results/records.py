@@ -32,6 +32,7 @@ _OpenPair = tuple[_Open, _Open]
 _OpenMatrix = tuple[tuple[_Open, _Open, _Open], tuple[_Open, _Open, _Open],
                     tuple[_Open, _Open, _Open]]  # fmt: skip
 _Cells = Annotated[int, Field(strict=True, ge=1, le=1000)]
+_Side = Annotated[int, Field(strict=True, ge=1, le=10**6)]
 _Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 _Above0 = Annotated[float, Field(strict=True, gt=0, le=1e5)]
 
@@ -61,6 +62,15 @@ class CameraRecord(Record):
 
     K: Matrix3
     kappa: Number
+    kappa_error: Annotated[float, Field(strict=True, ge=0, le=1e4)] | None = None
+    principal_point_error_px: Annotated[float, Field(strict=True, ge=0, le=1e4)] | None = None
+
+    @property
+    def errors(self) -> tuple[float, float] | None:
+        """Standard deviations of kappa and of the principal point; None if they are not known."""
+        if self.kappa_error is None or self.principal_point_error_px is None:
+            return None
+        return self.kappa_error, self.principal_point_error_px
 
 
 class EditRecord(Record):
@@ -174,6 +184,7 @@ class ResultRecord(StoredRecord):
     prior_weight: _Open
     psf_sigma_lr_px: _Open
     psf: PsfRecord | None = None
+    frame_px: tuple[_Side, _Side] | None = None
     solver: SolverRecord
     lambda_curve: tuple[_OpenPair, ...] = ()
     vignetting: VignettingRecord | None = None

@@ -169,6 +169,18 @@ class Settings(DeclaredModel):
         "Calibration of the camera (YAML, JSON or XML of OpenCV, or a result.json): fixes focal "
         "length, principal point and, unless kappa is given, kappa.",
     )
+    camera_profile: Path | None = tunable(
+        None,
+        _lens(
+            "camera profile",
+            "file",
+            option=("--camera",),
+            automatic="none",
+            files="Camera profile (*.toml);;All files (*)",
+        ),
+        "What pv-inspect calibrate pooled from other results of this camera (TOML): kappa, "
+        "principal point, blur and vignetting are taken into account as far as they are known.",
+    )
     module_of: str | None = tunable(
         None,
         _choosing("module of frame", "file", automatic="of most frames", advanced=True),

@@ -34,6 +34,7 @@ OTHER_VALUES: dict[str, Any] = {
     "kappa": -0.25,
     "focal_length_px": 900.0,
     "calibration_file": Path("lens.yaml"),
+    "camera_profile": Path("camera.toml"),
     "module_of": "frame_003.tif",
     "registration_model": "homography",
     "magnification": 3.0,

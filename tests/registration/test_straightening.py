@@ -57,7 +57,7 @@ def test_a_common_bend_and_a_wrong_kappa_are_found_from_the_gaps() -> None:
     truth = CAMERA.unproject(poses[1], pixels).reshape(*points.shape)
     result = straighten(_drawn(grid, truth), grid, wrong, poses, 0.1)
     assert result is not None
-    camera, fitted = result
+    camera, fitted = result.camera, result.homographies
     crossings = LAYOUT.crossings()
     before = wrong.project(poses[1], crossings) - CAMERA.project(poses[1], crossings)
     after = camera.project(fitted[1], crossings) - CAMERA.project(poses[1], crossings)
@@ -72,7 +72,7 @@ def test_a_camera_that_is_given_stays() -> None:
     shifted = _pixel_points(grid) - [0.01, -0.006]
     result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, 0.0)
     assert result is not None
-    camera, fitted = result
+    camera, fitted = result.camera, result.homographies
     assert camera.kappa == pytest.approx(CAMERA.kappa, abs=1e-9)
     np.testing.assert_allclose(camera.K, CAMERA.K, atol=1e-6)
     moved = CAMERA.unproject(poses[0], camera.project(fitted[0], LAYOUT.crossings()))
@@ -85,7 +85,7 @@ def test_gaps_a_little_wider_than_the_layout_has_them_are_measured_in_their_midd
     module = _drawn(grid, _pixel_points(grid), gap=0.05) + noise
     result = straighten(module, grid, CAMERA, _poses(), 0.004)
     assert result is not None
-    camera, fitted = result
+    camera, fitted = result.camera, result.homographies
     points = camera.project(fitted[1], LAYOUT.crossings())
     off = points - CAMERA.project(_poses()[1], LAYOUT.crossings())
     # With the usual shape 0.9 px.

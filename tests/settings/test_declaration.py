@@ -39,4 +39,9 @@ def test_every_setting_is_declared_for_a_control_or_says_what_sets_it(name: str)
 def test_every_setting_is_in_one_form() -> None:
     names = [name for group in Group for name in Settings.names_in(group)]
     assert sorted(names) == sorted(Settings.model_fields)
-    assert Settings.names_in(Group.LENS) == ("kappa", "focal_length_px", "calibration_file")
+    assert Settings.names_in(Group.LENS) == (
+        "kappa",
+        "focal_length_px",
+        "calibration_file",
+        "camera_profile",
+    )

@@ -1,0 +1,162 @@
+"""What is known of a camera from many results: a TOML file whose uncertainties act as priors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from pv_inspect.calibration.focal_length import conventional_focal_length
+from pv_inspect.common.records import Number, Record, StoredRecord, Text, Whole, checked
+from pv_inspect.errors import InspectionError
+from pv_inspect.settings.toml import read_toml
+
+__all__ = ["CameraProfile", "Known", "LensProfile", "PsfProfile", "read_profile", "write_profile"]
+
+PsfShape = Literal["gaussian", "disc", "unknown"]
+
+_Error = Annotated[float, Field(strict=True, gt=0, le=1e4)]
+_Side = Annotated[int, Field(strict=True, ge=1, le=10**6)]
+
+
+@dataclass(frozen=True)
+class Known:
+    """A value and its standard deviation."""
+
+    value: float
+    error: float
+
+
+class LensProfile(Record):
+    """Distortion and principal point."""
+
+    focal_length_px: Annotated[float, Field(strict=True, gt=10, le=1e6)]
+    """That kappa belongs to: only kappa / f^2 has a meaning."""
+    kappa: Annotated[float, Field(strict=True, ge=-1, le=1)]
+    kappa_error: _Error
+    principal_point_px: tuple[Number, Number] | None = None
+    principal_point_error_px: _Error | None = None
+
+
+class PsfProfile(Record):
+    """Blur of the optics."""
+
+    sigma_lr_px: Annotated[float, Field(strict=True, gt=0, le=10)]
+    error_lr_px: _Error
+    shape: PsfShape = "unknown"
+
+
+class VignettingProfile(Record):
+    """Fall-off of the light, see `pv_inspect.photometry.vignetting`."""
+
+    coefficients: Annotated[tuple[Number, ...], Field(min_length=1, max_length=4)]
+    deviations: Annotated[tuple[Number, ...], Field(min_length=1, max_length=4)]
+
+
+class CameraProfile(StoredRecord):
+    """A camera as many results saw it.
+
+    What no result told is missing.
+    """
+
+    newest_format: ClassVar[int] = 1
+
+    width: _Side
+    height: _Side
+    results: Whole
+    notes: tuple[Text, ...] = ()
+    lens: LensProfile | None = None
+    psf: PsfProfile | None = None
+    vignetting: VignettingProfile | None = None
+
+    def kappa_at(self, focal_length_px: float) -> Known | None:
+        """Return kappa and its error for another focal length; None if it is not known."""
+        if self.lens is None:
+            return None
+        factor = (focal_length_px / self.lens.focal_length_px) ** 2
+        return Known(factor * self.lens.kappa, factor * self.lens.kappa_error)
+
+    @property
+    def principal_point(self) -> tuple[tuple[float, float], float] | None:
+        """Its place and the standard deviation per axis, LR px; None if it is not known."""
+        lens = self.lens
+        if lens is None or lens.principal_point_px is None or not lens.principal_point_error_px:
+            return None
+        return lens.principal_point_px, lens.principal_point_error_px
+
+    @property
+    def sigma(self) -> Known | None:
+        """Standard deviation of the optical blur, LR px; None if it is not known."""
+        return None if self.psf is None else Known(self.psf.sigma_lr_px, self.psf.error_lr_px)
+
+
+def read_profile(path: Path, image_shape: tuple[int, int] | None = None) -> CameraProfile:
+    """Read a camera profile.
+
+    Parameters
+    ----------
+    path : Path
+        Written by `write_profile`, or by hand.
+    image_shape : tuple of int, optional
+        (height, width) of the frames that it is meant for.
+
+    Raises
+    ------
+    InspectionError
+        If the file can't be read, holds something else, or is of a camera of another size.
+    """
+    try:
+        profile = checked(CameraProfile, read_toml(path))
+    except ValueError as error:
+        raise InspectionError(
+            f"{path} is no camera profile ({error}): make one with pv-inspect calibrate."
+        ) from None
+    if image_shape is not None and image_shape != (profile.height, profile.width):
+        raise InspectionError(
+            f"{path} is the profile of a camera of {profile.width} x {profile.height} px, but the "
+            f"frames have {image_shape[1]} x {image_shape[0]} px: give the profile of this camera "
+            "at this size."
+        )
+    return profile
+
+
+def write_profile(path: Path, profile: CameraProfile) -> None:
+    """Write a camera profile as TOML, as a whole or not at all.
+
+    Raises
+    ------
+    InspectionError
+        If the file can't be written.
+    """
+    record = profile.model_dump(mode="json", exclude_none=True)
+    tables = {name: value for name, value in record.items() if isinstance(value, dict)}
+    lines = ["# Camera profile of pv-inspect: a value, and its standard deviation as *_error."]
+    lines += [_line(name, value) for name, value in record.items() if name not in tables]
+    for name, table in tables.items():
+        lines += ["", f"[{name}]", *(_line(key, value) for key, value in table.items())]
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise InspectionError(
+            f"The camera profile can't be written to {path} ({error.strerror}): choose another "
+            "place."
+        ) from None
+
+
+def _line(name: str, value: Any) -> str:
+    # JSON numbers, strings and lists of them are TOML as well.
+    return f"{name} = {json.dumps(value)}"
+
+
+def conventional_kappa(
+    kappa: float, error: float, focal: float, image_shape: tuple[int, int]
+) -> Known:
+    """Return kappa for the focal length by convention: in this gauge results are comparable."""
+    factor = (conventional_focal_length(image_shape) / focal) ** 2
+    return Known(kappa * factor, error * factor)
