@@ -52,12 +52,15 @@ class SeenLines:
         the m cells along it. NaN where not seen.
     lr_px : float
         LR pixels per module unit.
+    blur : float
+        How softly the outer cells end, standard deviation; 0 if that is not seen.
     """
 
     name: str
     low: Array
     high: Array
     lr_px: float
+    blur: float
 
     @property
     def offsets(self) -> tuple[Array, Array]:
@@ -100,7 +103,7 @@ def seen_lines(module: Image, grid: HrGrid) -> tuple[SeenLines, SeenLines]:
     step = STEP_LR_PX / lr_px
     x: Array = step * np.arange(-int(reach / step), int(reach / step) + 1, dtype=np.float64)
     samples, _ = edge_profiles(module, edges, plane, x, ALONG)
-    low, high = _sides(np.median(samples, axis=1), x, edges, search)
+    low, high, blur = _sides(np.median(samples, axis=1), x, edges, search)
     rows, cols = layout.rows, layout.cols
     upright = rows * (cols + 1)
 
@@ -110,18 +113,23 @@ def seen_lines(module: Image, grid: HrGrid) -> tuple[SeenLines, SeenLines]:
         return values[upright:].reshape(rows + 1, cols).T
 
     return (
-        SeenLines("column", of(low, True), of(high, True), lr_px),
-        SeenLines("row", of(low, False), of(high, False), lr_px),
+        SeenLines("column", of(low, True), of(high, True), lr_px, _middle(of(blur, True))),
+        SeenLines("row", of(low, False), of(high, False), lr_px, _middle(of(blur, False))),
     )
 
 
-def _sides(profiles: Array, x: Array, edges: CellEdges, search: float) -> tuple[Array, Array]:
-    """Place of the falling and of the rising side around each line; NaN where none is seen."""
+def _sides(
+    profiles: Array, x: Array, edges: CellEdges, search: float
+) -> tuple[Array, Array, Array]:
+    """Place of the falling and of the rising side around each line, and blur of outer ones.
+
+    NaN where none is seen.
+    """
     step = float(x[1] - x[0])
     smooth = gaussian_filter1d(profiles, SMOOTH_LR_PX / STEP_LR_PX, axis=1)
     slope = np.gradient(smooth, step, axis=1)
     bright = float(np.percentile(smooth, 75))
-    low, high = np.full(len(profiles), np.nan), np.full(len(profiles), np.nan)
+    low, high, blur = (np.full(len(profiles), np.nan) for _ in range(3))
     for k, (one, rise) in enumerate(zip(smooth, slope, strict=True)):
         near = np.flatnonzero(np.abs(x) <= search + 0.5 * edges.gap[k])
         middle = int(near[one[near].argmin()])
@@ -131,7 +139,19 @@ def _sides(profiles: Array, x: Array, edges: CellEdges, search: float) -> tuple[
             low[k] = x[middle] - step * low[k]
         if inner or side > 0:
             high[k] = x[middle] + step * _steepest(rise[middle:], one[middle:], bright)
-    return low, high
+        side_at = high[k] if side > 0 else low[k]
+        if not inner and np.isfinite(side_at):
+            at = int(np.abs(x - side_at).argmin())
+            # A step of this height, blurred by a Gaussian, is so steep in its middle.
+            height = 2 * abs(float(one[at]) - float(one[middle]))
+            blur[k] = height / max(np.sqrt(2 * np.pi) * abs(float(rise[at])), 1e-12)
+    return low, high, blur
+
+
+def _middle(values: Array) -> float:
+    """Median of what is known, else 0."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0
 
 
 def _steepest(rise: Array, level: Array, bright: float) -> float:
@@ -152,13 +172,19 @@ def _steepest(rise: Array, level: Array, bright: float) -> float:
 
 
 def _typical(values: Array) -> tuple[Array, Array]:
-    """Median of each column and its standard deviation; NaN where less than a third is known."""
+    """Median of each column and its standard deviation.
+
+    NaN where fewer than two values, or less than a third, are known. A few values may be alike by
+    chance, so that none counts as surer than the usual spread of all columns allows.
+    """
     known = np.isfinite(values)
     count = known.sum(axis=0)
-    enough = 3 * count >= len(values)
+    enough = (count >= 2) & (3 * count >= len(values))
     filled = np.where(enough & known, values, np.nan)
     filled[:, ~enough] = 0.0
     middle = np.nanmedian(filled, axis=0)
-    spread = MAD_TO_SIGMA * np.nanmedian(np.abs(filled - middle), axis=0)
-    sigma = 1.2533 * spread / np.sqrt(np.maximum(count, 1))
+    rest = np.abs(filled - middle)
+    spread = MAD_TO_SIGMA * np.nanmedian(rest, axis=0)
+    usual = float(np.median(spread[enough])) if enough.any() else 0.0
+    sigma = 1.2533 * np.maximum(spread, usual) / np.sqrt(np.maximum(count, 1))
     return np.where(enough, middle, np.nan), np.where(enough, sigma, np.nan)

@@ -19,7 +19,7 @@ MINI = ModuleLayout(4, 9, cell_gap=(0.1, 0.1))
 
 
 def _drawn(
-    layout: ModuleLayout, grid: HrGrid, moved: NDArray[np.float64] | None = None
+    layout: ModuleLayout, grid: HrGrid, moved: NDArray[np.float64] | None = None, blur: float = 1.2
 ) -> NDArray[np.float32]:
     """Draw the cells of a layout, each with a busbar, blurred; `moved` shifts columns."""
     rng = np.random.default_rng(3)
@@ -37,7 +37,7 @@ def _drawn(
         busbar = np.where(np.abs(x - (low[0] + high[0]) / 2) < 1, 0.4, 1.0)
         image = np.where(inside > 0, 0.06 + inside * (rng.uniform(0.5, 0.9) * busbar - 0.06), image)
     image = image.astype(np.float32)
-    image = cv2.GaussianBlur(image, (0, 0), 1.2)
+    image = cv2.GaussianBlur(image, (0, 0), blur)
     return image + rng.normal(0, 0.005, image.shape).astype(np.float32)
 
 
@@ -53,6 +53,14 @@ def _said(told: ModuleLayout, true: ModuleLayout, moved: NDArray[np.float64] | N
 @pytest.mark.parametrize("layout", [ModuleLayout(3, 5), HALF_CUT, MINI, ModuleLayout(2, 2)])
 def test_nothing_is_said_of_a_layout_that_is_right(layout: ModuleLayout) -> None:
     assert _said(layout, layout) == ""
+
+
+@pytest.mark.parametrize("blur_lr_px", [0.9, 1.4, 2.0])
+def test_blur_is_not_taken_for_wide_gaps(blur_lr_px: float) -> None:
+    layout = ModuleLayout(3, 5)
+    grid = HrGrid.covering(layout, LR_PX, 2.0, MARGIN)
+    module = _drawn(layout, grid, blur=blur_lr_px * 2.0)
+    assert check_lines(layout, *seen_lines(module, grid)) == ""
 
 
 @pytest.mark.parametrize("gap", [0.05, 0.15])
