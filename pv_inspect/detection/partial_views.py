@@ -75,7 +75,13 @@ def found_together(
         if not parts and len(reasons) >= PROBED:
             raise next(iter(reasons.values()))
         yield Progress((begin + len(batch)) / len(order), "looking for the grid of each part")
-    poses = poses_together(parts, layout)
+    try:
+        poses = poses_together(parts, layout)
+    except OutlineError as error:
+        if len(parts) == len(order):
+            raise
+        some = f"the grid of cells is seen in only {len(parts)} of {len(order)}, and {error}"
+        raise OutlineError(some) from None
     found: dict[int, Found] = {}
     for k in parts:
         if k not in poses:

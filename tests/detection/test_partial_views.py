@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pv_inspect.common.work import result_of
+from pv_inspect.detection import partial_views
 from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
 from pv_inspect.detection.joined_views import beside_others, poses_together
 from pv_inspect.detection.outline import OutlineError
@@ -185,3 +188,17 @@ def test_a_grid_a_little_beside_the_cells_is_not_taken_for_whole_cells(
     own = part_of(image, _own_grid(pose, SHIFTS[2][0], SHIFTS[2][1] + aside), 1.0)
     poses = poses_together({**parts, 2: own}, LAYOUT)
     assert _off_px(poses[2], pose) < 40 * 0.05
+
+
+def test_frames_without_a_grid_are_counted_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = _windows([(0, 0), (0, 2), (0, 4), (3, 4)], 4, 4)
+    image = np.zeros((8, 8), np.float32)
+    numbered: Any = SimpleNamespace(frame=lambda k: SimpleNamespace(image=image + k))
+
+    def part(image: NDArray[np.float32], cell_aspect: float) -> Part | OutlineError:
+        assert cell_aspect == 1
+        return seen.get(int(image[0, 0])) or OutlineError("no grid of cells is seen")
+
+    monkeypatch.setattr(partial_views, "_seen", part)
+    with pytest.raises(OutlineError, match="seen in only 4 of 6, and only 3 of 4 fit together"):
+        result_of(partial_views.found_together(numbered, ModuleLayout(5, 6), range(6)))
