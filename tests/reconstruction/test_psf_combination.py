@@ -48,7 +48,7 @@ def test_further_evidence_counts_by_its_error() -> None:
     found = combined(SHARP, None, 50.0, [profile])
     assert found.sigma == pytest.approx(0.44, abs=0.004)
     assert found.error < 0.007
-    assert found.words == ", \u00b1 0.01, from the borders of the cells and camera profile"
+    assert found.words == ", \u00b1 0.01, from the borders of the cells and the camera profile"
     vague = combined(SHARP, None, 50.0, [replace(profile, error=0.5)])
     assert vague.sigma == pytest.approx(combined(SHARP, None, 50.0).sigma, rel=0.01)
     only = combined(None, None, 50.0, [profile])
