@@ -14,6 +14,7 @@ from typer.main import get_command
 
 import pv_inspect
 from pv_inspect.calibration.camera_file import read_camera
+from pv_inspect.calibration.camera_profile import read_profile
 from pv_inspect.cli.app import app
 from pv_inspect.settings import Settings
 
@@ -66,9 +67,17 @@ def test_options_in_the_text_exist() -> None:
 
 
 def test_the_settings_file_is_read(tmp_path: Path) -> None:
-    (text,) = of_all_pages("toml")
+    (text,) = [block for block in of_all_pages("toml") if "[lens]" not in block]
     (tmp_path / "plant.toml").write_text(text)
     assert Settings.from_toml(tmp_path / "plant.toml").cell_width_mm == 156.75
+
+
+def test_the_camera_profile_is_read(tmp_path: Path) -> None:
+    (text,) = [block for block in of_all_pages("toml") if "[lens]" in block]
+    (tmp_path / "camera.toml").write_text(text)
+    profile = read_profile(tmp_path / "camera.toml", (512, 640))
+    assert profile.sigma is not None
+    assert profile.sigma.value == 0.512
 
 
 def test_the_calibration_is_read(tmp_path: Path) -> None:
