@@ -172,7 +172,7 @@ class Settings(DeclaredModel):
     camera_profile: Path | None = tunable(
         None,
         _lens(
-            "camera profile",
+            "profile",
             "file",
             option=("--camera",),
             automatic="none",
