@@ -28,6 +28,7 @@ _reading = partial(Declaration, Stage.LOAD, Group.FRAMES)
 _lens = partial(Declaration, Stage.CALIBRATE, Group.LENS)
 _choosing = partial(Declaration, Stage.REGISTER, Group.FRAMES)
 _image = partial(Declaration, Stage.RECONSTRUCT, Group.IMAGE)
+_cracks = partial(Declaration, Stage.CRACKS, Group.CRACKS)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 GapText = Annotated[str, AfterValidator(checked_gaps)]
@@ -317,9 +318,7 @@ class Settings(DeclaredModel):
     )
     crack_threshold: Finite | None = tunable(
         None,
-        Declaration(
-            Stage.CRACKS,
-            Group.CRACKS,
+        _cracks(
             "crack threshold",
             "probability",
             slider=(0.0, 1.0),
@@ -331,9 +330,7 @@ class Settings(DeclaredModel):
     )
     detector: Literal["network", "ridge"] = tunable(
         "network",
-        Declaration(
-            Stage.CRACKS,
-            Group.CRACKS,
+        _cracks(
             "detector",
             choices={
                 "network": ("Network", "A small network trained on labelled cells."),
