@@ -108,12 +108,11 @@ def _judge(workbench: object, cells: object, heart: Heartbeat, times: Times, key
         times.add("blocked", heart.longest_ms)
 
 
-def _paint(
-    view: object, state: object, heart: Heartbeat, times: Times, painted: Paints, strokes: int
-) -> None:
+def _paint(view: object, heart: Heartbeat, times: Times, painted: Paints, strokes: int) -> None:
     """Paint short lines; the first one makes the layer of corrected marks."""
     view.bar.drawing.setChecked(True)
-    panel, (height, width) = view.cell_panel, state.data.subject.tiles.images.shape[2:]
+    panel = view.cell_panel
+    height, width = panel.image.height(), panel.image.width()
     for number in range(strokes):
         y = (0.1 + 0.8 * number / strokes) * height
         to = panel.transform()

@@ -274,7 +274,7 @@ def correct_marks(expert: Expert) -> None:
     before = state.cells.features(cell).crack_length_cells
     expert.press(view, Qt.Key.Key_D)
     panel = view.cell_panel
-    height, width = state.data.subject.tiles.images.shape[2:]
+    height, width = state.data.subject.tiles.shape(*cell)
     to = panel.transform()
     way = [to.map(QPointF(x * width, y * height)).toPoint() for x, y in ((0.2, 0.3), (0.7, 0.45))]
     expert.drag(panel, *way)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,27 +14,60 @@ from pv_inspect.reconstruction.reconstruction import Reconstruction
 
 __all__ = ["CellTiles", "cut_cells"]
 
+Image = NDArray[np.float32]
+
 
 @dataclass(frozen=True, eq=False)
 class CellTiles:
-    """One image per cell, all of the same size.
+    """The cells of a module image, each of its own size.
 
     Parameters
     ----------
-    images : (rows, cols, h, w) float32
-        Tile of every cell, full scale = 1; h x w pixels are one cell pitch.
+    image : (H, W) float32
+        Module image, full scale = 1.
     grid : HrGrid
-        Where the tiles lie: ``grid.cell_slices(row, col)``.
-    support : (rows, cols, h, w) float32, optional
-        Tiles of the support map, as far as there is one.
+        Where the cells lie: ``grid.cell_slices(row, col)``.
+    support : (H, W) float32, optional
+        Support map, as far as there is one.
     sight : CellSight, optional
         How well every cell was seen, as far as it is known.
     """
 
-    images: NDArray[np.float32]
+    image: Image
     grid: HrGrid
-    support: NDArray[np.float32] | None = None
+    support: Image | None = None
     sight: CellSight | None = None
+
+    @property
+    def places(self) -> list[tuple[int, int]]:
+        """Row and column of all cells, row by row."""
+        layout = self.grid.layout
+        return [(row, col) for row in range(layout.rows) for col in range(layout.cols)]
+
+    @property
+    def pixels(self) -> Image:
+        """Pixels of all cells, cell by cell, (n,)."""
+        return np.concatenate([self.tile(*place).ravel() for place in self.places])
+
+    def shape(self, row: int, col: int) -> tuple[int, int]:
+        """Height and width of a tile, HR pixels."""
+        y, x = self.grid.cell_slices(row, col)
+        return y.stop - y.start, x.stop - x.start
+
+    def tile(self, row: int, col: int) -> Image:
+        """Cut out a cell, (h, w); a view of the module image, which must not be written to."""
+        return self.image[self.grid.cell_slices(row, col)]
+
+    def support_of(self, row: int, col: int) -> Image | None:
+        """Cut out the support of a cell, (h, w); None if there is no support map."""
+        return None if self.support is None else self.support[self.grid.cell_slices(row, col)]
+
+    def means(self) -> dict[tuple[int, int], Image]:
+        """Mean of the tiles of each size, by their height and width."""
+        alike: dict[tuple[int, int], list[Image]] = {}
+        for place in self.places:
+            alike.setdefault(self.shape(*place), []).append(self.tile(*place))
+        return {size: np.mean(tiles, axis=0, dtype=np.float32) for size, tiles in alike.items()}
 
     def seen(self, row: int, col: int) -> tuple[float, float]:
         """Detail and blur of a cell (`CellSight`); NaN if they are not known."""
@@ -41,20 +75,21 @@ class CellTiles:
             return float("nan"), float("nan")
         return float(self.sight.detail[row, col]), float(self.sight.blur[row, col])
 
-    def assemble(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    def assemble(self, maps: Iterable[Image]) -> Image:
         """Put maps of all cells back into place on the HR grid; the margin is 0.
 
         Parameters
         ----------
-        maps : (rows, cols, h, w) float32
+        maps : (h, w) float32 for each cell
+            Row by row, each as large as its tile.
 
         Returns
         -------
         (H, W) float32
         """
         whole = np.zeros(self.grid.shape, np.float32)
-        for row, col in np.ndindex(*maps.shape[:2]):
-            whole[self.grid.cell_slices(row, col)] = maps[row, col]
+        for place, one in zip(self.places, maps, strict=True):
+            whole[self.grid.cell_slices(*place)] = one
         return whole
 
 
@@ -72,11 +107,5 @@ def cut_cells(reconstruction: Reconstruction) -> CellTiles:
     -------
     CellTiles
     """
-    grid, image = reconstruction.grid, reconstruction.image
-    rows, cols = grid.layout.rows, grid.layout.cols
-
-    def cut(whole: NDArray[np.float32]) -> NDArray[np.float32]:
-        tiles = [[whole[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)]
-        return np.array(tiles, dtype=np.float32)
-
-    return CellTiles(cut(image), grid, cut(reconstruction.support), reconstruction.sight)
+    made = reconstruction
+    return CellTiles(made.image, made.grid, made.support, made.sight)

@@ -263,8 +263,7 @@ def _image_made(reconstruction: Reconstruction) -> str:
 
 
 def _cells_cut(tiles: CellTiles) -> str:
-    rows, cols = tiles.images.shape[:2]
-    return f"{rows * cols} cells cut"
+    return f"{len(tiles.places)} cells cut"
 
 
 def _cracks_read(cracks: CrackMap) -> str:

@@ -114,12 +114,12 @@ def made_inspection(**changes: Any) -> Inspection:
     """Complete: 2 x 3 cells, a crack in row 1, column 2, and 3 frames of which one is rejected."""
     reconstruction = made_reconstruction()
     tiles = cut_cells(reconstruction)
-    maps = (tiles.images < 0.3).astype(np.float32) * 0.9
+    maps = [(tiles.tile(*place) < 0.3).astype(np.float32) * 0.9 for place in tiles.places]
     cells = tuple(
         measure_cell(
-            tiles.images[i, j], maps[i, j], 0.5, row=i, col=j, cell_width_px=80, usual_intensity=0.4
+            tiles.tile(i, j), one, 0.5, row=i, col=j, cell_width_px=80, usual_intensity=0.4
         )
-        for i, j in np.ndindex(2, 3)
+        for (i, j), one in zip(tiles.places, maps, strict=True)
     )
     inspection = Inspection(
         FakeSequence(),  # type: ignore[arg-type]

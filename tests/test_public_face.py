@@ -42,7 +42,7 @@ def test_the_snippet_runs_as_it_is_written(
     again = pv.read_result("out")
     assert type(again) is type(inspection)
     np.testing.assert_array_equal(again.reconstruction.image, inspection.reconstruction.image)
-    np.testing.assert_array_equal(again.tiles.images, inspection.tiles.images)
+    np.testing.assert_array_equal(again.tiles.pixels, inspection.tiles.pixels)
     assert pv.plots.grid(inspection) is not None
     assert pv.plots.cells(again).get_title() == pv.plots.cells(inspection).get_title()
     with pytest.raises(pv.InspectionError, match="out are not open"):

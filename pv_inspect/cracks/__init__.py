@@ -5,6 +5,7 @@ What finds the cracks is exchangeable: anything with the two members of `CrackDe
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
@@ -175,50 +176,51 @@ def read_cracks(
     """
     detector = detector if detector is not None else detector_of(settings)
     point = operating_point_of(detector, settings)
-    images = tiles.images
-    rows, cols = images.shape[:2]
+    places = tiles.places
+    images = [tiles.tile(*place) for place in places]
     usual = usual_brightness(images)
-    maps = np.zeros_like(images, dtype=np.float32)
-    blocks = np.zeros(images.shape, bool)
+    maps: list[NDArray[np.float32]] = []
+    blocks: list[NDArray[np.bool_]] = []
+    novelty: list[float] = []
     width = tiles.grid.pixels_per_unit
-    novelty = np.full((rows, cols), np.nan)
-    bars = np.zeros(images.shape[2:], np.float32)
-    for n, (row, col) in enumerate(np.ndindex(rows, cols), start=1):
-        tile = _lifted(images[row, col], usual)
+    count = Counter(image.shape for image in images)
+    bars = {size: np.zeros(size, np.float32) for size in count}
+    for n, image in enumerate(images, start=1):
+        tile = _lifted(image, usual)
         if isinstance(detector, BusbarFinder):
             probability, bar = detector.read(tile)
-            bars += bar / (rows * cols)
+            bars[tile.shape] += bar / count[tile.shape]
         else:
             probability = detector.probability(tile)
-        blocks[row, col] = cut_off_blocks(images[row, col])
-        maps[row, col] = completed(probability, tile, blocks[row, col], point, width)
-        novelty[row, col] = novelty_of(detector, tile)
-        yield Progress(n / (rows * cols), "looking for cracks")
-    # All cells of a module have the same busbars: together they show them better than one by one.
+        blocks.append(cut_off_blocks(image))
+        maps.append(completed(probability, tile, blocks[-1], point, width))
+        novelty.append(novelty_of(detector, tile))
+        yield Progress(n / len(images), "looking for cracks")
+    # Cells of one size have the same busbars: together they show them better than one by one.
     if isinstance(detector, BusbarFinder):
-        busbars = busbars_from_map(bars)
+        busbars = {size: busbars_from_map(mean) for size, mean in bars.items()}
     else:
-        busbars = busbars_from_image(images.mean((0, 1), dtype=np.float32))
+        busbars = {size: busbars_from_image(mean) for size, mean in tiles.means().items()}
     cells = tuple(
         measure_cell(
-            images[row, col],
-            maps[row, col],
+            images[k],
+            maps[k],
             point.threshold,
             row=row,
             col=col,
             cell_width_px=width,
             usual_intensity=usual,
-            busbars=busbars,
+            busbars=busbars[images[k].shape],
             cell_width_mm=settings.cell_width_mm,
             least_extent_cells=point.least_extent_cells,
             least_length_cells=point.least_length_cells,
             least_score=point.least_score,
-            novelty=float(novelty[row, col]),
-            support=None if tiles.support is None else tiles.support[row, col],
-            blocks=blocks[row, col],
+            novelty=novelty[k],
+            support=tiles.support_of(row, col),
+            blocks=blocks[k],
             seen=tiles.seen(row, col),
         )
-        for row, col in np.ndindex(rows, cols)
+        for k, (row, col) in enumerate(places)
     )
     return CrackMap(
         tiles.assemble(maps), point.threshold, detector.name, cells, point.least_extent_cells

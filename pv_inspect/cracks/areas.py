@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -96,7 +97,7 @@ def isolated(
     return float(share.mean(dtype=np.float64)), float(brightness)
 
 
-def usual_brightness(images: NDArray[np.float32]) -> float:
+def usual_brightness(images: Sequence[NDArray[np.float32]]) -> float:
     """Brightness of the cells of a module that work: the median over them.
 
     A cell works if its median is at least half of what nine tenths of the cells do not exceed. So
@@ -104,15 +105,17 @@ def usual_brightness(images: NDArray[np.float32]) -> float:
 
     Parameters
     ----------
-    images : (..., h, w) float32
+    images : (h, w) float32 each
         All cells.
 
     Returns
     -------
     float
     """
-    level = np.median(images, axis=(-2, -1))
-    return float(np.median(images[level >= _DARK_LEVEL * np.percentile(level, 90)]))
+    level = np.array([np.median(image) for image in images])
+    works = level >= _DARK_LEVEL * np.percentile(level, 90)
+    bright = [image.ravel() for image, keep in zip(images, works, strict=True) if keep]
+    return float(np.median(np.concatenate(bright)))
 
 
 def dark_shares(

@@ -82,9 +82,9 @@ def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
         what = "what the columns add to every frame, full scale = 1; one row per frame"
         yield COLUMNS_TIF, _packed(photometry.offsets, what)
     yield "cracks.tif", _tiff(cracks.probability, grid, "crack probability, 0 to 1", True)
-    for row, col in np.ndindex(*tiles.images.shape[:2]):
+    for row, col in tiles.places:
         what = f"cell in row {row + 1}, column {col + 1}, full scale = 1"
-        yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.images[row, col], grid, what)
+        yield f"{CELLS_FOLDER}/{tile_name(row, col)}", _tiff(tiles.tile(row, col), grid, what)
     yield "cells.csv", _csv(cracks.cells).encode()
     yield "report.html", render_report(inspection).encode()
     yield GEOMETRY_JSON, _json(geometry_record(inspection))

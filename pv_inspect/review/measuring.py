@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -40,15 +41,16 @@ class Measure:
         HR pixels per cell width.
     usual_intensity : float
         Median brightness of the cells that work (`pv_inspect.cracks.areas.usual_brightness`).
-    busbars : Busbars or None
-        Without them nothing is said about isolated areas.
+    busbars : mapping of (int, int) to Busbars or None
+        By height and width of the cells, pixels; without them nothing is said about isolated
+        areas.
     cell_width_mm : float or None
     """
 
     threshold: float
     cell_width_px: float
     usual_intensity: float
-    busbars: Busbars | None = None
+    busbars: Mapping[tuple[int, int], Busbars | None] = field(default_factory=dict)
     cell_width_mm: float | None = None
 
     @classmethod
@@ -69,9 +71,8 @@ class Measure:
         """
         tiles, cracks = result.need(CellTiles), result.need(CrackMap)
         return cls.of_cells(
-            tiles.images,
+            tiles,
             cracks.threshold,
-            tiles.grid.pixels_per_unit,
             result.settings.cell_width_mm,
             detector,
         )
@@ -79,9 +80,8 @@ class Measure:
     @classmethod
     def of_cells(
         cls,
-        tiles: Image,
+        tiles: CellTiles,
         threshold: float,
-        cell_width_px: float,
         cell_width_mm: float | None,
         detector: CrackDetector | None,
     ) -> Measure:
@@ -89,18 +89,18 @@ class Measure:
 
         Parameters
         ----------
-        tiles : (..., height, width) float32
-            The cells.
-        threshold, cell_width_px, cell_width_mm
+        tiles : CellTiles
+        threshold, cell_width_mm
             See the class.
         detector : CrackDetector or None
         """
-        mean = tiles.mean(tuple(range(tiles.ndim - 2)), dtype=np.float32)
+        means = tiles.means()
         if isinstance(detector, BusbarFinder):
-            busbars = busbars_from_map(detector.read(mean)[1])
+            busbars = {size: busbars_from_map(detector.read(m)[1]) for size, m in means.items()}
         else:
-            busbars = busbars_from_image(mean)
-        return cls(threshold, cell_width_px, usual_brightness(tiles), busbars, cell_width_mm)
+            busbars = {size: busbars_from_image(m) for size, m in means.items()}
+        usual = usual_brightness([tiles.tile(*place) for place in tiles.places])
+        return cls(threshold, tiles.grid.pixels_per_unit, usual, busbars, cell_width_mm)
 
 
 def measured(
@@ -155,7 +155,7 @@ def measured(
         col=col,
         cell_width_px=measure.cell_width_px,
         usual_intensity=measure.usual_intensity,
-        busbars=measure.busbars,
+        busbars=measure.busbars.get((tile.shape[0], tile.shape[1])),
         cell_width_mm=measure.cell_width_mm,
         support=support,
         seen=seen,

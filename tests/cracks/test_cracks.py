@@ -83,12 +83,12 @@ def test_lengths_in_millimetres_need_the_size_of_the_cell() -> None:
 
 def test_noise_in_a_dead_cell_is_no_crack() -> None:
     tiles = cut_cells(made_reconstruction())
-    images = tiles.images.copy()
+    image = tiles.image.copy()
     rng = np.random.default_rng(4)
-    images[1, 1] = 0.02 + cv2.GaussianBlur(
-        rng.normal(0, 0.03, images.shape[2:]).astype(np.float32), (0, 0), 1.5
+    image[tiles.grid.cell_slices(1, 1)] = 0.02 + cv2.GaussianBlur(
+        rng.normal(0, 0.03, tiles.shape(1, 1)).astype(np.float32), (0, 0), 1.5
     )
-    _, found = drained(read_cracks(replace(tiles, images=images), Settings()))
+    _, found = drained(read_cracks(replace(tiles, image=image), Settings()))
     dead = found.cells[4]
     assert dead.dark
     assert not dead.crack_suspected
@@ -97,9 +97,9 @@ def test_noise_in_a_dead_cell_is_no_crack() -> None:
 
 def test_dead_cells_are_dark_even_where_they_are_the_majority() -> None:
     tiles = cut_cells(made_reconstruction())
-    images = tiles.images.copy()
-    dead = [cell for cell in np.ndindex(images.shape[:2]) if cell not in {(0, 0), (1, 0)}]
+    image = tiles.image.copy()
+    dead = [cell for cell in tiles.places if cell not in {(0, 0), (1, 0)}]
     for cell in dead:
-        images[cell] *= 0.35
-    _, found = drained(read_cracks(replace(tiles, images=images), Settings(detector="ridge")))
+        image[tiles.grid.cell_slices(*cell)] *= 0.35
+    _, found = drained(read_cracks(replace(tiles, image=image), Settings(detector="ridge")))
     assert [(cell.row, cell.col) for cell in found.cells if cell.dark] == dead

@@ -170,7 +170,7 @@ def _result(folder: Path, _: Args) -> None:
     inspection = resume(result, reopen(result))
     assert len(inspection.need(Registration).used) == len(inspection.frames)
     assert inspection.tiles is not None
-    assert inspection.tiles.images.shape[:2] == (layout.rows, layout.cols)
+    assert len(inspection.tiles.places) == layout.rows * layout.cols
 
 
 def _session(folder: Path, _: Args) -> None:

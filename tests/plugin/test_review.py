@@ -236,9 +236,10 @@ def test_tiles_of_half_cells_have_their_captions_close_below(
     _, dock, cells = workbench
     show(dock, tiny_inspection)
     tiles = tiny_inspection.tiles
-    half = replace(tiles, images=tiles.images[:, :, ::2], support=None)
+    flat = replace(tiles.grid.layout, cell_aspect=2.0)
+    half = replace(tiles, grid=replace(tiles.grid, layout=flat))
     width = cells.cells.thumbnail.width()
-    show(dock, replace(tiny_inspection, tiles=half, cracks=None))
+    show(dock, replace(tiny_inspection, layout=flat, tiles=half, cracks=None))
     assert cells.cells.thumbnail.width() == width
     height = cells.view.gridSize().height()
     assert height == cells.cells.thumbnail.height() + BAR + GAP
@@ -301,7 +302,7 @@ def test_the_cell_view_shows_the_cell_beside_its_best_frame(large: Any) -> None:
     frame = best_frame(inspection.registration, inspection.sequence.shape, (1, 1), motion)
     assert frame is not None
     assert inspection.sequence.names[frame] in view.frame_panel.title
-    tile = inspection.tiles.images[1, 1]
+    tile = inspection.tiles.tile(1, 1)
     bicubic = view.frame.bicubic
     inner = slice(8, -8), slice(8, -8)
     assert np.corrcoef(tile[inner].ravel(), bicubic[inner].ravel())[0, 1] > 0.8

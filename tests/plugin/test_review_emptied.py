@@ -59,7 +59,7 @@ def narrower(whole: Inspection) -> Inspection:
     assert whole.tiles is not None
     layout = replace(whole.layout, cols=3)
     made = replace(whole.reconstruction, grid=replace(whole.reconstruction.grid, layout=layout))
-    tiles = CellTiles(whole.tiles.images[:, :3], made.grid)
+    tiles = CellTiles(made.image, made.grid)
     return replace(whole, layout=layout, reconstruction=made, tiles=tiles, cracks=None)
 
 

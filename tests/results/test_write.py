@@ -84,7 +84,7 @@ def test_images_come_back_as_they_were_written(tmp_path: Path) -> None:
     assert found.least_extent_cells == inspection.cracks.least_extent_cells
     tile = tifffile.imread(tmp_path / "out" / "cells" / "r01_c02.tif")
     assert inspection.tiles is not None
-    np.testing.assert_array_equal(tile, inspection.tiles.images[0, 1])
+    np.testing.assert_array_equal(tile, inspection.tiles.tile(0, 1))
 
 
 def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path) -> None:

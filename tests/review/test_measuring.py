@@ -13,7 +13,7 @@ TILE = np.full((N, N), 0.5, np.float32)
 NOTHING = np.zeros((N, N), np.float32)
 LINES = np.zeros(N, bool)
 LINES[[60, 61, 140, 141]] = True
-MEASURE = Measure(0.5, float(N), 0.5, Busbars(True, LINES), 156.0)
+MEASURE = Measure(0.5, float(N), 0.5, {(N, N): Busbars(True, LINES)}, 156.0)
 
 
 def line(start: tuple[int, int], end: tuple[int, int]) -> np.ndarray:

@@ -158,11 +158,10 @@ class CellDock(QWidget):
 
     def _on_subject(self, subject: Subject | None) -> None:
         if subject is not None:
-            images = subject.tiles.images
-            self._limits = 0.0, float(np.nanmax(images)) or 1.0
-            low, high = contrast_limits(images)
+            pixels = subject.tiles.pixels
+            self._limits = 0.0, float(np.nanmax(pixels)) or 1.0
+            low, high = contrast_limits(pixels)
             self.bar.show_contrast(low / self._limits[1], high / self._limits[1])
-            self.grid.show_aspect(images.shape[3] / images.shape[2])
         self._on_cell(self._cell)
 
     def _on_cell(self, _: Cell | None) -> None:
@@ -199,12 +198,14 @@ class CellDock(QWidget):
             for panel in self.panels:
                 panel.show_picture(None, self._why_none)
             return
-        self.cell_panel.show_picture(self._grey(subject.tiles.images[cell]))
-        support = subject.tiles.support
+        height, width = subject.tiles.shape(*cell)
+        self.grid.show_aspect(width / height)
+        self.cell_panel.show_picture(self._grey(subject.tiles.tile(*cell)))
+        support = subject.tiles.support_of(*cell)
         if support is None:
             self.support_panel.show_picture(None, "There is no support map.")
         else:
-            self.support_panel.show_picture(_support_colours(support[cell]))
+            self.support_panel.show_picture(_support_colours(support))
         if self.frame is not None:
             self.frame_panel.title = f"Best frame: {self.frame.name}"
             self.frame_panel.show_picture(self._grey(self.frame.nearest))

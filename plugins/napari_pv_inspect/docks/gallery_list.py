@@ -54,7 +54,7 @@ class CellList(QAbstractListModel):
         self._thumbnails = None
         self.thumbnail = QSize(width, width)
         if subject is not None:
-            rows, cols = subject.tiles.images.shape[2:]
+            rows, cols = np.max([subject.tiles.shape(*cell) for cell in subject.places], axis=0)
             self.thumbnail.setHeight(max(round(width * rows / cols), 1))
             longest = max(self.thumbnail.width(), self.thumbnail.height())
             self._thumbnails = Thumbnails(subject, round(longest * self._ratio))

@@ -56,7 +56,7 @@ class ReviewQueries:
         corrected, subject = self._data.rater_review.corrected.get(cell), self._data.subject
         if corrected is None or subject is None:
             return None
-        fits = corrected.mask.shape == subject.tiles.images.shape[2:]
+        fits = corrected.mask.shape == subject.tiles.shape(*cell)
         return corrected.mask if fits else None
 
     def marks(self, cell: Cell) -> Mask | None:

@@ -58,7 +58,7 @@ class Subject:
     @property
     def places(self) -> list[Cell]:
         """All cells, row by row."""
-        return [(int(row), int(col)) for row, col in np.ndindex(*self.tiles.images.shape[:2])]
+        return self.tiles.places
 
     def shows_the_same(self, other: Subject | None) -> bool:
         """Whether the pictures are the same ones."""
@@ -72,7 +72,7 @@ class Subject:
 
     def marks(self, cell: Cell, threshold: float) -> Mask:
         """Pixels of the marks that count as cracks at a threshold, (h, w) bool."""
-        marked = np.zeros(self.tiles.images.shape[2:], bool)
+        marked = np.zeros(self.tiles.shape(*cell), bool)
         probability = self.probability(cell)
         if probability is not None and self.cracks is not None:
             width, extent = self.tiles.grid.pixels_per_unit, self.cracks.least_extent_cells
@@ -89,17 +89,17 @@ class Subject:
             If the mask is of another size than the cell.
         """
         row, col = cell
-        probability, support = self.probability(cell), self.tiles.support
+        probability = self.probability(cell)
         if probability is None:
             raise InspectionError("The cracks are still looked for: correct them afterwards.")
         return measured(
             mask,
-            self.tiles.images[row, col],
+            self.tiles.tile(row, col),
             probability,
             self._measure,
             row=row,
             col=col,
-            support=None if support is None else support[row, col],
+            support=self.tiles.support_of(row, col),
             seen=self.tiles.seen(row, col),
         )
 
@@ -107,9 +107,8 @@ class Subject:
     def _measure(self) -> Measure:
         assert self.cracks is not None
         return Measure.of_cells(
-            self.tiles.images,
+            self.tiles,
             self.cracks.threshold,
-            self.tiles.grid.pixels_per_unit,
             self.settings.cell_width_mm,
             detector_of(self.settings),
         )

@@ -18,23 +18,23 @@ Image = NDArray[np.float32]
 class Thumbnails:
     """Pictures of the cells of a module, each made when it is looked at.
 
-    One contrast for the whole module: a dark cell has to look dark beside the others.
+    One contrast and one scale for the whole module: a dark cell has to look dark beside the others,
+    a narrow one narrow.
 
     Parameters
     ----------
     subject : Subject
     longest : int
-        Longer side of a picture, pixels.
+        Longest side of all pictures, pixels.
     """
 
     def __init__(self, subject: Subject, longest: int) -> None:
         self._subject = subject
-        height, width = subject.tiles.images.shape[2:]
-        scale = longest / max(height, width)
-        self._size = max(round(width * scale), 1), max(round(height * scale), 1)
+        scale = longest / max(max(subject.tiles.shape(*cell)) for cell in subject.places)
+        self._scale = scale
         # What falls together leaves its maximum: a crack must not fade away.
         self._reach = int(np.ceil(1 / scale)) | 1
-        self._limits = contrast_limits(subject.tiles.images)
+        self._limits = contrast_limits(subject.tiles.pixels)
         self._known: dict[Cell, tuple[Image, Image]] = {}
 
     def picture(
@@ -53,7 +53,7 @@ class Thumbnails:
             Corrected marks, painted instead in the colour of edited things.
         """
         grey, probability = self._small(cell)
-        if mask is not None and mask.shape == self._subject.tiles.images.shape[2:]:
+        if mask is not None and mask.shape == self._subject.tiles.shape(*cell):
             painted, rgb = self._peaks(mask.astype(np.float32)) > 0, CORRECTED_RGB
         else:
             painted, rgb = probability >= threshold, CRACK_RGB
@@ -65,8 +65,8 @@ class Thumbnails:
     def _small(self, cell: Cell) -> tuple[Image, Image]:
         if cell not in self._known:
             low, high = self._limits
-            tile = self._subject.tiles.images[cell]
-            shrunk = cv2.resize(tile, self._size, interpolation=cv2.INTER_AREA)
+            tile = self._subject.tiles.tile(*cell)
+            shrunk = cv2.resize(tile, self._size(tile), interpolation=cv2.INTER_AREA)
             grey = np.clip((np.nan_to_num(shrunk) - low) / (high - low), 0.0, 1.0)
             probability = self._subject.probability(cell)
             peaks = self._peaks(probability) if probability is not None else grey * 0 - 1
@@ -76,4 +76,8 @@ class Thumbnails:
     def _peaks(self, values: Image) -> Image:
         kernel = np.ones((self._reach, self._reach), np.uint8)
         highest = cv2.dilate(np.ascontiguousarray(values), kernel)
-        return np.asarray(cv2.resize(highest, self._size, interpolation=cv2.INTER_NEAREST))
+        return np.asarray(cv2.resize(highest, self._size(values), interpolation=cv2.INTER_NEAREST))
+
+    def _size(self, values: Image) -> tuple[int, int]:
+        height, width = values.shape
+        return max(round(width * self._scale), 1), max(round(height * self._scale), 1)
