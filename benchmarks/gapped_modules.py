@@ -1,6 +1,7 @@
-"""Modules with wide gaps, simulated: they are found without being told, or refused.
+"""Modules with wide gaps or uneven cells, simulated: found right, refused, or put in doubt.
 
     python benchmarks/gapped_modules.py [--seeds 0 100] [--jobs 2] [--frames 6] [--guess]
+                                        [--uneven told | untold]
 
 Half-cut modules with centre gaps of 0 to 30 mm, mini-modules with 2 to 20 % of the pitch between
 all cells, third-cut cells and plain ones of 3 x 3 to 12 x 24 cells are run up to the registered
@@ -9,6 +10,10 @@ frames with their rows, columns and cell aspect alone. "right" is a module whose
 that is wrong and said to be in doubt, "silent" one that is wrong without a word. A right one that
 is said to be in doubt is "doubted". Times are CPU seconds of the run. With ``--guess`` rows,
 columns and cell aspect are not given either.
+
+With ``--uneven`` the modules have no wide gap, but columns or rows of other cells than the rest: an
+outer one, both outer ones, or cut cells among whole ones. Told, they are to be registered as others
+are; untold, the result is to be refused or said to be in doubt.
 """
 
 from __future__ import annotations
@@ -19,11 +24,13 @@ import json
 import multiprocessing
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import cv2
 import numba
@@ -71,15 +78,30 @@ class Answer:
     words: str
 
 
-def drawn(seed: int, n_frames: int) -> tuple[str, SimulationSettings]:
+def drawn(seed: int, n_frames: int, uneven: bool) -> tuple[str, SimulationSettings]:
     """Draw a module, a view and a camera."""
-    rng = np.random.default_rng([14, seed])
+    rng = np.random.default_rng([15 if uneven else 14, seed])
     while True:
         with contextlib.suppress(InspectionError):  # the lens folds this view over: draw again
-            return _drawn(rng, seed, n_frames)
+            return _drawn(rng, seed, n_frames, _uneven if uneven else _layout)
 
 
-def _layout(rng: np.random.Generator) -> tuple[str, dict[str, float]]:
+def _uneven(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
+    kind = str(rng.choice(["outer", "both", "mixed"], p=[0.5, 0.2, 0.3]))
+    n, others = int(rng.integers(4, 13)), int(rng.integers(2, 9))
+    width = float(rng.choice([rng.uniform(0.35, 0.9), rng.uniform(1.1, 1.5)], p=[0.8, 0.2]))
+    if kind == "mixed":
+        numbers = sorted(rng.choice(n, int(rng.integers(1, n // 2)), replace=False) + 1)
+        width = 0.5
+    else:
+        numbers = [1, n] if kind == "both" else [int(rng.choice([1, n]))]
+    sizes = ", ".join(f"{number}:{width:.3f}" for number in numbers)
+    if rng.random() < 0.3:  # the module lies on its side
+        return kind, {"rows": n, "cols": others, "row_heights": sizes}
+    return kind, {"rows": others, "cols": n, "col_widths": sizes}
+
+
+def _layout(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
     kind = str(rng.choice(["half-cut", "mini", "third-cut", "plain"], p=[0.5, 0.25, 0.1, 0.15]))
     if kind == "half-cut":
         along, across = int(rng.choice([20, 24])), 6
@@ -99,8 +121,13 @@ def _layout(rng: np.random.Generator) -> tuple[str, dict[str, float]]:
     return kind, {"rows": rows, "cols": cols}
 
 
-def _drawn(rng: np.random.Generator, seed: int, n_frames: int) -> tuple[str, SimulationSettings]:
-    kind, layout = _layout(rng)
+def _drawn(
+    rng: np.random.Generator,
+    seed: int,
+    n_frames: int,
+    layout_of: Callable[[np.random.Generator], tuple[str, dict[str, Any]]],
+) -> tuple[str, SimulationSettings]:
+    kind, layout = layout_of(rng)
     settings = SimulationSettings(
         seed=seed,
         **layout,
@@ -151,19 +178,21 @@ def _error_px(registration: Registration, made: SimulatedSequence) -> float:
     return float(np.sqrt(np.mean(errors)))
 
 
-def trial(seed: int, n_frames: int, guess: bool) -> Answer:
+def trial(seed: int, n_frames: int, guess: bool, uneven: str | None = None) -> Answer:
     """Simulate one module and run it without telling its gaps, or anything of its cells."""
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
-    kind, settings = drawn(seed, n_frames)
+    kind, settings = drawn(seed, n_frames, uneven is not None)
     made = simulated(settings)
     layout = settings.layout.plain
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "sequence"
         write_sequence(made, folder)
-        # The sidecar may say nothing of gaps.
-        shape = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
-        (folder / "module.json").write_text(json.dumps({} if guess else shape), encoding="utf-8")
+        if uneven != "told":
+            # The sidecar may say nothing of gaps or uneven cells.
+            shape = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
+            said = json.dumps({} if guess else shape)
+            (folder / "module.json").write_text(said, encoding="utf-8")
         return _answered(seed, kind, made, FrameSequence.open(folder))
 
 
@@ -199,18 +228,19 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--frames", type=int, default=6)
     parser.add_argument("--guess", action="store_true")
+    parser.add_argument("--uneven", choices=["told", "untold"])
     args = parser.parse_args()
     answers: list[Answer] = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(args.jobs, mp_context=context) as pool:
-        for one in pool.map(
-            partial(trial, n_frames=args.frames, guess=args.guess), range(*args.seeds)
-        ):
+        one_trial = partial(trial, n_frames=args.frames, guess=args.guess, uneven=args.uneven)
+        for one in pool.map(one_trial, range(*args.seeds)):
             answers.append(one)
             print(
                 f"{one.seed:4d} {one.kind:9} {one.true.rows:2d} x {one.true.cols:2d} "
                 f"{one.answer:8} {one.rms_px:6.3f} px {one.cpu_s:6.1f} s  "
-                f"true: {one.true.gaps_in_words or 'none'}  {one.words[:250]}",
+                f"true: {one.true.sizes_in_words or one.true.gaps_in_words or 'none'}  "
+                f"{one.words[:250]}",
                 flush=True,
             )
     count = Counter(one.answer for one in answers)
@@ -220,8 +250,8 @@ def main() -> int:
             a.rms_px for a in answers if a.answer == "right" and (a.true == a.true.plain) is plain
         ]
         if rms:
-            name = "without" if plain else "with"
-            print(f"RMS {name} gaps: median {np.median(rms):.3f}, worst {max(rms):.3f} px")
+            name = "plain modules" if plain else "modules with gaps or uneven cells"
+            print(f"RMS of {name}: median {np.median(rms):.3f}, worst {max(rms):.3f} px")
     return int(count["silent"] > 0)
 
 

@@ -174,10 +174,15 @@ def _layout(sequence: FrameSequence, settings: Settings, start: Inspection | Non
         return _Known(start.layout, start.layout_guessed, start.gaps_found, start.runner_up)
     guess: LayoutGuess | None = None
     if not is_known(sequence, settings):
+        if sequence.says_sizes(settings):
+            raise InspectionError(
+                "Widths of single rows or columns are given, but not how many there are: give "
+                "--rows and --cols as well."
+            )
         guess = guess_layout(sequence, settings, settings.module_at)
     layout = sequence.layout(settings) if guess is None else guess.layout
     runner_up = None if guess is None else guess.runner_up
-    if sequence.says_gaps(settings):
+    if sequence.says_gaps(settings) or layout.row_heights or layout.col_widths:
         return _Known(layout, guess is not None, False, runner_up)
     wide = layout_with_gaps(sequence, layout, settings.module_at)
     return _Known(wide, guess is not None, wide != layout.plain, runner_up)

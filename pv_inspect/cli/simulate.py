@@ -110,6 +110,8 @@ def _simulation_help() -> str:
         limits = (
             f"{about['low']:g} to {about['high']:g} {about['unit']}"
             if "low" in about
+            else about["unit"]
+            if "unit" in about
             else ", ".join(about.get("choices", ("true", "false")))
         )
         lines.append(f"{spec.name} = {spec.default}  [{limits}]  {about.get('help', '')}")

@@ -311,7 +311,7 @@ def _mostly_faulty(
     return (
         f"{len(faulty)} of {len(sequence)} frames speak against a module of {layout.rows} rows x "
         f"{layout.cols} columns ({sequence.names[faulty[0]]}: {reasons[faulty[0]]}): check rows "
-        "and cols."
+        "and cols, and whether all rows and columns are alike (--row-heights, --col-widths)."
     )
 
 
@@ -361,7 +361,8 @@ def _nothing_found(
         )
     return (
         f"No frame shows a module of {module} ({sequence.names[first]}: {reasons[first]}): check "
-        "the frames, rows and cols."
+        "the frames, rows and cols, and whether all rows and columns are alike (--row-heights, "
+        "--col-widths)."
     )
 
 

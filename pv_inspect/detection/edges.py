@@ -121,13 +121,13 @@ class EdgeOffsets:
 
 def cell_edges(layout: ModuleLayout) -> CellEdges:
     """List the edges of all cells: first those along y, then those along x."""
-    rows, cols, height = layout.rows, layout.cols, 1.0 / layout.cell_aspect
+    rows, cols, heights, widths = layout.rows, layout.cols, layout.heights, layout.widths
     wide_x, wide_y = _gap_widths(layout)
     i, j = (a.ravel() for a in np.mgrid[0:rows, 0 : cols + 1])
     upright = (
-        np.column_stack([layout.col_lines[j], layout.row_starts[i] + 0.5 * height]),
+        np.column_stack([layout.col_lines[j], layout.row_starts[i] + 0.5 * heights[i]]),
         np.tile([1.0, 0.0], (i.size, 1)),
-        np.tile([0.0, height], (i.size, 1)),
+        np.column_stack([np.zeros(i.size), heights[i]]),
         np.column_stack([i * (cols + 1) + j, (i + 1) * (cols + 1) + j]),
         (j > 0) & (j < cols),
         np.where(j == 0, 1, -1),
@@ -135,9 +135,9 @@ def cell_edges(layout: ModuleLayout) -> CellEdges:
     )
     i, j = (a.ravel() for a in np.mgrid[0 : rows + 1, 0:cols])
     level = (
-        np.column_stack([layout.col_starts[j] + 0.5, layout.row_lines[i]]),
+        np.column_stack([layout.col_starts[j] + 0.5 * widths[j], layout.row_lines[i]]),
         np.tile([0.0, 1.0], (i.size, 1)),
-        np.tile([1.0, 0.0], (i.size, 1)),
+        np.column_stack([widths[j], np.zeros(i.size)]),
         np.column_stack([i * (cols + 1) + j, i * (cols + 1) + j + 1]),
         (i > 0) & (i < rows),
         np.where(i == 0, 1, -1),

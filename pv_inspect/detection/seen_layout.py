@@ -91,7 +91,8 @@ def found_around(
     fits: list[Found] = []
     for above in range(rows + 1):
         for before in range(cols + 1):
-            moved = np.array([[1.0, 0, -before], [0, 1, -above / given.cell_aspect], [0, 0, 1]])
+            x, y = given.col_starts[before], given.row_starts[above]
+            moved = np.array([[1.0, 0, -x], [0, 1, -y], [0, 0, 1]])
             start = Pose(there.pose.camera, there.pose.homography @ stretched @ moved)
             with contextlib.suppress(OutlineError):
                 fits.append(detect_in_frame(image, given, start, whole=True))

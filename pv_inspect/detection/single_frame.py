@@ -310,8 +310,10 @@ def _starts(
     pose, distance = fit_pose(outline, layout, shape, 0, distorted=distorted)
     ratio = layout.size[0] / layout.size[1]
     seen = pose.aspect * ratio
-    starts = [pose, pose.turned(layout.size, layout.size, 1)]
-    errors = [abs(np.log(seen / ratio)), abs(np.log(seen * ratio))]
+    uneven = (layout.row_heights or layout.col_widths) and 2 not in layout.turns
+    turns = range(4 if uneven else 2)
+    starts = [pose.turned(layout.size, layout.size, turn) for turn in turns]
+    errors = [abs(np.log(seen * ratio if turn % 2 else seen / ratio)) for turn in turns]
     if min(errors) > np.log(MAX_ASPECT_RATIO_ERROR):
         raise OutlineError(
             f"the module is {max(seen, 1 / seen):.2f} times as long as wide, but "

@@ -48,8 +48,8 @@ class HrGrid:
     ) -> HrGrid:
         """Return the grid of a whole module with a margin around it.
 
-        The pitch is rounded so that a cell is a whole number of HR pixels wide: tiles then need
-        no resampling. ``magnification`` becomes what the rounding makes of it.
+        The pitch is rounded so that a usual cell is a whole number of HR pixels wide: tiles then
+        need no resampling. ``magnification`` becomes what the rounding makes of it.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class HrGrid:
 
     @property
     def pixels_per_cell(self) -> tuple[float, float]:
-        """HR pixels per cell along x and y."""
+        """HR pixels per usual cell along x and y."""
         return self.pixels_per_unit, self.pixels_per_unit / self.layout.cell_aspect
 
     def to_pixels(self, module_points: Points) -> Points:
@@ -98,11 +98,11 @@ class HrGrid:
         return np.array([[s, 0.0, -ox * s], [0.0, s, -oy * s], [0.0, 0.0, 1.0]])
 
     def cell_slices(self, row: int, col: int) -> tuple[slice, slice]:
-        """[row, col] slices of the pixels of one cell; all cells have the same size."""
+        """[row, col] slices of the pixels of one cell; cells of one width have as many pixels."""
         layout, scale = self.layout, self.pixels_per_unit
-        px, py = self.pixels_per_cell
         gap_x, gap_y = (scale * gap for gap in layout.cell_gap)
-        w, h = round(px - gap_x), round(py - gap_y)
+        w = round(scale * float(layout.widths[col]) - gap_x)
+        h = round(scale * float(layout.heights[row]) - gap_y)
         x0 = round(self.origin_px[0] + 0.5 + scale * float(layout.col_starts[col]) + gap_x / 2)
         y0 = round(self.origin_px[1] + 0.5 + scale * float(layout.row_starts[row]) + gap_y / 2)
         return slice(y0, y0 + h), slice(x0, x0 + w)

@@ -25,9 +25,9 @@ def unseen_sentence(registration: Registration, shape: tuple[int, int]) -> str:
     """
     layout = registration.layout
     at = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
-    x, y = np.meshgrid(at, at / layout.cell_aspect)
-    within = np.stack([x.ravel(), y.ravel()], axis=-1)
-    points = layout.cell_centres()[:, None] + within
+    x, y = (a.ravel() for a in np.meshgrid(at, at))
+    width, height = (a.ravel()[:, None] for a in np.meshgrid(layout.widths, layout.heights))
+    points = layout.cell_centres()[:, None] + np.stack([x * width, y * height], axis=-1)
     end = np.array([shape[1], shape[0]]) - 1.0
     seen = np.zeros(points.shape[:2], bool)
     for i in np.flatnonzero(registration.used):

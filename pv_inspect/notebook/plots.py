@@ -146,11 +146,9 @@ def cells(inspection: Inspection, ax: Axes | None = None) -> Axes:
             title += "\nclass, and length of its cracks in cell widths"
         if cracks.counts.undecidable:
             title += "\n?: can't be judged"
-    ax.set_xticks(layout.col_starts + 0.5, [str(j + 1) for j in range(layout.cols)])
-    ax.set_yticks(
-        layout.row_starts + 0.5 / layout.cell_aspect,
-        [str(i + 1) for i in range(layout.rows)],
-    )
+    x, y = layout.places_in_cells(np.array([0.5]), np.array([0.5]))
+    ax.set_xticks(x, [str(j + 1) for j in range(layout.cols)])
+    ax.set_yticks(y, [str(i + 1) for i in range(layout.rows)])
     ax.set(xlim=(left, right), ylim=(bottom, top), title=title)
     ax.set(xlabel="column [cells]", ylabel="row [cells]")
     return ax

@@ -135,7 +135,7 @@ class _Frame:
         with np.errstate(divide="ignore", invalid="ignore"):
             at = homogeneous[..., :2] / homogeneous[..., 2:]
         valid = self.valid & (homogeneous[..., 2] > 0)
-        widths = (1.0, 1.0 / layout.cell_aspect)
+        widths = (layout.widths, layout.heights)
         lines, wide = (layout.col_lines, layout.row_lines), (layout.col_gaps, layout.row_gaps)
         starts = (layout.col_starts, layout.row_starts)
         most = max(layout.rows, layout.cols) + 2
@@ -149,12 +149,14 @@ class _Frame:
             # The rest is looked at for these few only.
             nearest, along = nearest[px], at[..., 1 - axis][px]
             cell = np.searchsorted(other, along) - 1
-            inside = (along - other[cell]) / widths[1 - axis]
+            length = widths[1 - axis][cell]
+            inside = (along - other[cell]) / length
             keep = (cell >= 0) & (inside > _INNER[0]) & (inside < _INNER[1])
             for before, _ in wide[axis]:
                 keep &= nearest != before
             px = (px[0][keep], px[1][keep])
             nearest, cell, inside, place = nearest[keep], cell[keep], inside[keep], at[px]
+            pieces = np.maximum((length[keep] * lr_px_per_unit / _PIECE_LR_PX).astype(np.int64), 1)
             # d module / d pixel of the coordinate across the line.
             M, w = self.to_module, homogeneous[px][:, 2:]
             by_ray = (M[axis, :2] - place[:, axis, None] * M[2, :2]) / w
@@ -162,8 +164,6 @@ class _Frame:
             steepness = np.hypot(gradient[:, 0], gradient[:, 1])
             normal = gradient / steepness[:, None]
             segment = (axis * most + nearest) * most + cell
-            length = widths[1 - axis] * lr_px_per_unit
-            pieces = max(int(length / _PIECE_LR_PX), 1)
             piece = np.minimum((inside * pieces).astype(np.int64), pieces - 1)
             yield BorderSamples(
                 np.full(len(cell), self.number),

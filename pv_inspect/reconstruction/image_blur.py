@@ -80,7 +80,7 @@ def _profiles(image: Image, grid: HrGrid, row: int, col: int) -> list[Image]:
     across = np.linspace(-_REACH, _REACH, _SAMPLES)[:, None]
     gap_x, gap_y = (gap / 2 for gap in layout.cell_gap)
     left, top = float(layout.col_starts[col]), float(layout.row_starts[row])
-    right, bottom = left + 1.0, top + 1.0 / layout.cell_aspect
+    right, bottom = left + float(layout.widths[col]), top + float(layout.heights[row])
     found: list[Image] = []
     for low, high, first, last, upright in (
         (top, bottom, left + gap_x, right - gap_x, True),

@@ -65,8 +65,8 @@ def detail_correlation(
 ) -> float:
     """Correlation of one frame with the module image in what tells its cells apart.
 
-    Slow brightness is taken out, and so is the mean cell: gaps and busbars look the same on every
-    module.
+    Slow brightness is taken out, and so is the mean cell of each size: gaps and busbars look the
+    same on every module.
     """
     total = np.zeros(grid.shape, np.float32)
     weight = np.zeros(grid.shape, np.float32)
@@ -84,10 +84,15 @@ def detail_correlation(
     slices = [cell for cell in slices if seen[cell].all()]
     if not slices:
         return 0.0
-    a, b = (np.array([d[cell] for cell in slices]) for d in detail)
-    if len(slices) > 1:
-        a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-30))
+    products = []
+    for size in dict.fromkeys(detail[0][cell].shape for cell in slices):
+        alike = [cell for cell in slices if detail[0][cell].shape == size]
+        a, b = (np.array([d[cell] for cell in alike]) for d in detail)
+        if len(slices) > 1:
+            a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+        products.append(((a * b).sum(), (a * a).sum(), (b * b).sum()))
+    ab, aa, bb = (sum(of_sizes) for of_sizes in zip(*products, strict=True))
+    return float(ab / np.sqrt(aa * bb + 1e-30))
 
 
 def indices(used: NDArray[np.bool_]) -> list[int]:

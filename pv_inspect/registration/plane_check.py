@@ -101,8 +101,9 @@ def check_lines(layout: ModuleLayout, columns: SeenLines, rows: SeenLines) -> st
         if fault:
             return (
                 f"The layout does not fit what the frames show together: {fault} Cells, lengths "
-                "and cracks near the borders may be misplaced: check rows, cols and the gaps "
-                "(--row-gaps, --col-gaps, --cell-gap)."
+                "and cracks near the borders may be misplaced: check rows, cols, the gaps "
+                "(--row-gaps, --col-gaps, --cell-gap), and whether all rows and columns are alike "
+                "(--row-heights, --col-widths)."
             )
     return ""
 

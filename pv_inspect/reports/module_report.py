@@ -224,6 +224,8 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
     }
     seen = "seen in the frames" if inspection.gaps_found else "by default"
     gaps = f", {'from module.json' if hint.keys() & {'row_gaps', 'col_gaps', 'cell_gap'} else seen}"
+    told = hint.keys() & {"row_heights", "col_widths"}
+    sizes = f", {'from module.json' if told else 'by default'}"
     found = {
         "rows": f"{layout.rows}, {source['rows']}",
         "cols": f"{layout.cols}, {source['cols']}",
@@ -231,6 +233,8 @@ def _setting_rows(inspection: Inspection) -> list[dict[str, str]]:
         "row_gaps": gap_text(layout.row_gaps) + gaps,
         "col_gaps": gap_text(layout.col_gaps) + gaps,
         "cell_gap": f"{layout.cell_gap[0]:.3g}{gaps}",
+        "row_heights": gap_text(layout.row_heights) + sizes,
+        "col_widths": gap_text(layout.col_widths) + sizes,
         "dark_frame": "none",
         "lock_in": "no, nothing was switched"
         if inspection.frames.lock_in is None

@@ -50,6 +50,8 @@ class LayoutRecord(Record):
     row_gaps: tuple[_Gap, ...] = ()
     col_gaps: tuple[_Gap, ...] = ()
     cell_gap: tuple[_GapWidth, _GapWidth] = (0.0, 0.0)
+    row_heights: tuple[_Gap, ...] = ()
+    col_widths: tuple[_Gap, ...] = ()
 
     @property
     def n_crossings(self) -> int:

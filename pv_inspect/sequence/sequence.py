@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.common.gap_text import NO_GAPS, WideGaps, gaps_from
 from pv_inspect.errors import InspectionError, printable
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.image_files.limits import ReadLimits
@@ -33,6 +32,7 @@ from pv_inspect.sequence.opening import (
     with_compression,
 )
 from pv_inspect.sequence.sidecar import read_sidecar
+from pv_inspect.sequence.told_layout import says_gaps, says_sizes, told_layout
 from pv_inspect.sequence.values import Raw, ValueScale, comparable
 from pv_inspect.settings import Settings
 
@@ -43,9 +43,6 @@ _SAMPLE_FRAMES = 24
 _SAMPLE_BYTES, _LEAST_SAMPLES = 256 * 2**20, 5
 _CACHED_FRAMES, _LAST_FRAMES = 64, 8
 _CACHED_BYTES = 128 * 2**20
-
-_SHAPE = ("rows", "cols", "cell_aspect")
-_GAPS = ("row_gaps", "col_gaps", "cell_gap")
 
 
 def cached_frames(n_frames: int, shape: tuple[int, int]) -> int:
@@ -329,37 +326,15 @@ class FrameSequence:
         InspectionError
             If neither says how many rows and columns of cells the module has.
         """
-        known = dict(self.layout_hint)
-        for key in (*_SHAPE, *_GAPS):
-            if getattr(settings, key) is not None:
-                known[key] = getattr(settings, key)
-        missing = [key for key in ("rows", "cols") if key not in known]
-        if missing:
-            raise InspectionError(
-                f"The number of {' and '.join(missing)} of cells is unknown for {self.source}: "
-                f"give {' and '.join('--' + key for key in missing)}, or put a module.json with "
-                "rows and cols beside the frames."
-            )
-        gap = float(known.get("cell_gap", 0.0))
-        return ModuleLayout(
-            known["rows"],
-            known["cols"],
-            float(known.get("cell_aspect", 1.0)),
-            _wide_gaps("row_gaps", known, settings),
-            _wide_gaps("col_gaps", known, settings),
-            (gap, gap),
-        )
+        return told_layout(self.layout_hint, settings, self.source)
 
     def says_gaps(self, settings: Settings) -> bool:
         """Whether the settings or ``module.json`` say which gaps are wide, or that none is."""
-        return any(getattr(settings, key) is not None or key in self.layout_hint for key in _GAPS)
+        return says_gaps(self.layout_hint, settings)
 
-
-def _wide_gaps(key: str, known: dict[str, Any], settings: Settings) -> WideGaps:
-    try:
-        return gaps_from(str(known.get(key, NO_GAPS)), settings.cell_width_mm)
-    except ValueError as error:
-        raise InspectionError(f"{key}: {error}.") from None
+    def says_sizes(self, settings: Settings) -> bool:
+        """Whether the settings or ``module.json`` name rows or columns of other cells."""
+        return says_sizes(self.layout_hint, settings)
 
 
 def open_sequence(

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pv_inspect.common.gap_text import checked_gaps
+from pv_inspect.common.gap_text import checked_gaps, checked_sizes
 from pv_inspect.common.records import json_from, read_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.problems import ImageFileError
@@ -31,8 +31,9 @@ def read_sidecar(root: Path, paths: list[Path]) -> dict[str, Any]:
     Returns
     -------
     dict
-        Those of "rows", "cols" (int), "cell_aspect", "cell_gap" (float), "row_gaps" and "col_gaps"
-        (str, see `pv_inspect.common.gap_text`) that are given; empty without a file.
+        Those of "rows", "cols" (int), "cell_aspect", "cell_gap" (float), "row_gaps", "col_gaps",
+        "row_heights" and "col_widths" (str, see `pv_inspect.common.gap_text`) that are given;
+        empty without a file.
 
     Raises
     ------
@@ -99,20 +100,21 @@ def _parse_sidecar(path: Path) -> dict[str, Any]:
                 "expected, 0 to 0.5 cell widths: correct it."
             )
         hint["cell_gap"] = float(gap)
-    for key in ("row_gaps", "col_gaps"):
+    for key in ("row_gaps", "col_gaps", "row_heights", "col_widths"):
         if content.get(key) is not None:
-            hint[key] = _gaps(path, key, content[key])
+            hint[key] = _pairs(path, key, content[key])
     return hint
 
 
-def _gaps(path: Path, key: str, value: object) -> str:
-    """Wide gaps, written "10:0.1" or {"10": 0.1}."""
+def _pairs(path: Path, key: str, value: object) -> str:
+    """Wide gaps, or widths of cells, written "10:0.1" or {"10": 0.1}."""
     if isinstance(value, dict):
         value = ", ".join(f"{after}:{width}" for after, width in value.items())
     try:
         if not isinstance(value, str):
-            raise ValueError(f'{_shown(value)} is no list of gaps: write it like {{"10": 0.1}}')
-        return checked_gaps(value)
+            what = "gaps" if key.endswith("gaps") else "widths"
+            raise ValueError(f'{_shown(value)} is no list of {what}: write it like {{"10": 0.1}}')
+        return checked_gaps(value) if key.endswith("gaps") else checked_sizes(value)
     except ValueError as error:
         raise InspectionError(f"{path}: {key}: {error}.") from None
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, ValidationError
 
-from pv_inspect.common.gap_text import checked_gaps
 from pv_inspect.errors import InspectionError
 from pv_inspect.image_files.endings import PATTERNS
 from pv_inspect.image_files.limits import MAX_FRAME_MPX, MAX_FRAMES, ReadLimits
-from pv_inspect.settings.declaration import Declaration, DeclaredModel, Group, tunable
+from pv_inspect.settings.declaration import Declaration, Group, tunable
+from pv_inspect.settings.module_settings import Finite, ModuleSettings
 from pv_inspect.settings.stages import Stage
 from pv_inspect.settings.toml import read_toml, toml_text
 from pv_inspect.settings.wrong_value import sentence_of
@@ -23,19 +23,14 @@ __all__ = ["Settings"]
 
 _IMAGES = f"Images ({PATTERNS})"
 
-_module = partial(Declaration, Stage.DETECT, Group.MODULE)
 _reading = partial(Declaration, Stage.LOAD, Group.FRAMES)
 _lens = partial(Declaration, Stage.CALIBRATE, Group.LENS)
 _choosing = partial(Declaration, Stage.REGISTER, Group.FRAMES)
 _image = partial(Declaration, Stage.RECONSTRUCT, Group.IMAGE)
 _cracks = partial(Declaration, Stage.CRACKS, Group.CRACKS)
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-GapText = Annotated[str, AfterValidator(checked_gaps)]
-Pixel = Annotated[float, Field(allow_inf_nan=False, ge=-1e6, le=1e6)]
 
-
-class Settings(DeclaredModel):
+class Settings(ModuleSettings):
     """Settings of one inspection; immutable, validated on construction.
 
     ``Settings.model_fields[name].description`` says what a field means and
@@ -44,53 +39,6 @@ class Settings(DeclaredModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    rows: int | None = tunable(
-        None,
-        _module("rows", "cells", automatic="?"),
-        "Rows of cells; taken from module.json if not given.",
-        ge=1,
-        le=200,
-    )
-    cols: int | None = tunable(
-        None,
-        _module("columns", "cells", automatic="?"),
-        "Columns of cells; taken from module.json if not given.",
-        ge=1,
-        le=200,
-    )
-    cell_aspect: Finite | None = tunable(
-        None,
-        _module("aspect", decimals=3, automatic="auto"),
-        "Cell width / cell height; from module.json if not given, else 1.",
-        ge=0.1,
-        le=10,
-    )
-    row_gaps: GapText | None = tunable(
-        None,
-        _module("wide row gaps", "cell widths", automatic="as seen", advanced=True),
-        "Gaps between rows that are wider than the others, as AFTER:WIDTH: 6:0.1 is one below the "
-        "sixth row that is wider by a tenth of a cell's width, 6:16mm one by 16 mm (with "
-        "cell_width_mm); several with commas, or none. Found in the frames if no gap is given.",
-    )
-    col_gaps: GapText | None = tunable(
-        None,
-        _module("wide column gaps", "cell widths", automatic="as seen", advanced=True),
-        "Gaps between columns that are wider than the others, written as row_gaps.",
-    )
-    cell_gap: Finite | None = tunable(
-        None,
-        _module("cell gap", "cell widths", decimals=3, automatic="as seen", advanced=True),
-        "Width of the gap between all cells where it is a good part of a cell, as in mini-modules; "
-        "0 for the usual few millimetres. Found in the frames if no gap is given.",
-        ge=0,
-        le=0.5,
-    )
-    module_at: tuple[Pixel, Pixel] | None = tunable(
-        None,
-        _module("point inside", "LR px", automatic="centre", advanced=True),
-        "x and y of a point inside of the wanted module in the first frame; the completely "
-        "visible module nearest to the centre if not given.",
-    )
     dark_frame: Path | None = tunable(
         None,
         _reading("dark frame", "file", automatic="none", files=_IMAGES),

@@ -151,8 +151,7 @@ def _by_daylight(
     cells = daylight.level * (0.9 + 0.05 * _texture((shape[0], shape[1]), rng))
     upright = layout.cell_aspect > 1
     along, lines = (x, layout.col_starts) if upright else (y, layout.row_starts)
-    pitch = 1.0 if upright else 1.0 / layout.cell_aspect
-    for start in lines:
+    for start, pitch in zip(lines, layout.widths if upright else layout.heights, strict=True):
         for k in range(busbars):
             at = start + pitch * (k + 0.5) / busbars
             cells = np.where(np.abs(along - at) < _BUSBAR, daylight.level * 1.4, cells)

@@ -70,13 +70,12 @@ def grow_cracks(
     Monocrystalline silicon breaks along its diagonals, cast silicon in any direction.
     """
     cracks: list[Crack] = []
-    height = 1.0 / layout.cell_aspect
     for row in range(layout.rows):
         for col in range(layout.cols):
             if rng.random() >= share:
                 continue
             origin = np.array([layout.col_starts[col], layout.row_starts[row]])
-            start = origin + rng.uniform(0.12, 0.88, 2) * [1.0, height]
+            start = origin + rng.uniform(0.12, 0.88, 2) * [layout.widths[col], layout.heights[row]]
             kind = rng.choice(["line", "cross", "tree"], p=[0.5, 0.25, 0.25])
             # Log-uniform: many faint cracks of some per cent, some strong ones.
             contrast = float(np.exp(rng.uniform(np.log(0.05), np.log(0.75))))
@@ -176,13 +175,13 @@ def draw_cracks(
     transmission = np.ones(shape, np.float32)
     barrier = np.zeros(shape, np.float32)
     mask = np.zeros(shape, np.uint8)
-    cell = np.array([1.0, 1.0 / layout.cell_aspect]) * pixels_per_unit
     extent = np.array(layout.size) * pixels_per_unit
     for crack in cracks:
         points = np.asarray(origin_px) + pixels_per_unit * crack.points
         row, col = crack.home
         start = np.array([layout.col_starts[col], layout.row_starts[row]])
         corner = np.asarray(origin_px) + pixels_per_unit * start
+        cell = np.array([layout.widths[col], layout.heights[row]]) * pixels_per_unit
         low, high = (
             (np.asarray(origin_px), np.asarray(origin_px) + extent)
             if crack.crosses

@@ -44,6 +44,8 @@ def truth_dict(sequence: SimulatedSequence, name: str) -> dict[str, Any]:
         "col_lines": layout.col_lines.tolist(),
         "row_lines": layout.row_lines.tolist(),
         "cell_gap": list(layout.cell_gap),
+        "widths": layout.widths.tolist(),
+        "heights": layout.heights.tolist(),
         "image_size": [settings.width, settings.height],
         "plane": "unit = cell-width pitch, x right, y down; crossing (row i, col j) at "
         "(col_lines[j], row_lines[i]), without wide gaps (j, i/cell_aspect)",
@@ -187,7 +189,14 @@ def _write_into(sequence: SimulatedSequence, folder: Path, name: str) -> None:
             compressionargs={"level": 9},
             predictor=True,
         )
-    module = {"rows": layout.rows, "cols": layout.cols, "cell_aspect": layout.cell_aspect}
+    module: dict[str, Any] = {
+        "rows": layout.rows,
+        "cols": layout.cols,
+        "cell_aspect": layout.cell_aspect,
+    }
+    module |= {
+        key: dict(sizes) for key in ("row_heights", "col_widths") if (sizes := getattr(layout, key))
+    }
     _write_text(folder / "module.json", json.dumps(module) + "\n")
     _write_text(folder / "truth" / "truth.json", json.dumps(truth_dict(sequence, name)) + "\n")
     values = scene.radiance * (65535 / _MAX_RADIANCE)

@@ -117,7 +117,7 @@ def render_scene(
     for row in range(layout.rows):
         for col in range(layout.cols):
             window = _cell_window(layout, ppu, origin, row, col)
-            tile, cell = _render_cell(settings, rng, maps, window, (row, col), upright)
+            tile, cell = _render_cell(settings, layout, rng, maps, window, (row, col), upright)
             inside = _cell_outline(layout, ppu, origin, window, (row, col), settings)
             cells_light[window] = tile * inside
             coverage[window] = inside
@@ -155,6 +155,7 @@ def _cell_window(
 
 def _render_cell(
     settings: SimulationSettings,
+    layout: ModuleLayout,
     rng: np.random.Generator,
     maps: CrackMaps,
     window: tuple[slice, slice],
@@ -162,7 +163,10 @@ def _render_cell(
     upright: bool,
 ) -> tuple[Image, CellTruth]:
     """Radiance of the pitch of one cell, as if it had no outline."""
-    ppu, busbars = settings.pixels_per_unit, settings.busbars
+    ppu, (row, col) = settings.pixels_per_unit, place
+    # Busbars lie as far apart in a cut cell as in a whole one.
+    share = layout.widths[col] if upright else layout.heights[row] * layout.cell_aspect
+    busbars = max(round(settings.busbars * share), 1)
     barrier = maps.barrier[window]
     # The texture works with busbars along x; on upright cells they run along y.
     barrier = barrier.T if upright else barrier
@@ -203,13 +207,13 @@ def _cell_outline(
     Of half-cut cells only the corners on the outer side of the former whole cell are cut.
     """
     row, col = place
-    height = 1.0 / layout.cell_aspect
+    height, width = layout.heights[row], layout.widths[col]
     y = (np.arange(window[0].start, window[0].stop) - origin)[:, None] / ppu
     x = (np.arange(window[1].start, window[1].stop) - origin)[None, :] / ppu
     y, x = y - layout.row_starts[row], x - layout.col_starts[col]
     gap = max(layout.cell_gap[0], settings.wafer_gap)
     left, top = x - gap / 2, y - gap / 2
-    right, bottom = 1 - gap / 2 - x, height - gap / 2 - y
+    right, bottom = width - gap / 2 - x, height - gap / 2 - y
     inside = np.minimum(np.minimum(left, right), np.minimum(top, bottom))
     size = 0.05 if settings.wafer == "mono" else 0.008
     halved_y, halved_x = layout.cell_aspect > 1.5, layout.cell_aspect < 0.67

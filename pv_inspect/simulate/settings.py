@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import Field, asdict, dataclass, field, fields
 from typing import Any
 
+from pv_inspect.common.gap_text import NO_GAPS, sizes_from
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 
@@ -16,6 +17,10 @@ _MAX_SAMPLES = 100e6
 
 def _number(default: Any, unit: str, low: float, high: float, text: str) -> Any:
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "help": text})
+
+
+def _sizes(text: str) -> Any:
+    return field(default=NO_GAPS, metadata={"sizes": True, "unit": "cell widths", "help": text})
 
 
 def _choice(default: str, choices: tuple[str, ...], text: str) -> Any:
@@ -50,6 +55,8 @@ class SimulationSettings:
     cell_gap: float = _number(
         0.0, "cell widths", 0, 0.4, "Gap between all cells, if not the usual 1 to 3 mm."
     )
+    row_heights: str = _sizes("Rows of other cells: NUMBER:HEIGHT, with commas between several.")
+    col_widths: str = _sizes("Columns of other cells: NUMBER:WIDTH, with commas between several.")
     wafer: str = _choice("multi", ("multi", "mono"), "Multicrystalline or monocrystalline cells.")
     busbars: int = _number(3, "1", 1, 12, "Busbars per cell.")
     busbar_style: str = _choice("solid", ("solid", "dashed"), "Form of the busbars.")
@@ -133,6 +140,8 @@ class SimulationSettings:
             ((self.rows // 2, self.row_gap),) if self.row_gap else (),
             ((self.cols // 2, self.col_gap),) if self.col_gap else (),
             (self.cell_gap, self.cell_gap),
+            sizes_from(self.row_heights),
+            sizes_from(self.col_widths),
         )
 
     @property
@@ -165,6 +174,12 @@ def _check(spec: Field[Any], value: object) -> None:
     if kind == "bool":
         if not isinstance(value, bool):
             raise InspectionError(f"{spec.name} is {value!r}: give True or False.")
+        return
+    if "sizes" in spec.metadata:
+        try:
+            sizes_from(str(value))
+        except ValueError as error:
+            raise InspectionError(f"{spec.name}: {error}.") from None
         return
     if "choices" in spec.metadata:
         choices = spec.metadata["choices"]

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pv_inspect.common.gap_text import gap_text, gaps_from
+from pv_inspect.common.gap_text import gap_text, gaps_from, sizes_from
 
 
 @pytest.mark.parametrize(
@@ -33,6 +33,15 @@ def test_what_is_no_gap_is_told_in_one_sentence(text: str) -> None:
 def test_millimetres_need_the_width_of_a_cell() -> None:
     with pytest.raises(ValueError, match="cell_width_mm"):
         gaps_from("10:16mm")
+
+
+def test_widths_of_columns_are_read_as_gaps_are() -> None:
+    assert sizes_from("12:78mm, 1:0.25", cell_width_mm=156.0) == ((1, 0.25), (12, 0.5))
+    assert sizes_from("none") == ()
+    with pytest.raises(ValueError, match="'12' is no width: write NUMBER:WIDTH, for example 12:0"):
+        sizes_from("12")
+    with pytest.raises(ValueError, match="cell_width_mm"):
+        sizes_from("12:78mm")
 
 
 @given(st.dictionaries(st.integers(1, 199), st.integers(1, 2000), max_size=5))

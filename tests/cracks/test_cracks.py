@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pv_inspect.cells import cut_cells
+from pv_inspect.cells import CellTiles, cut_cells
 from pv_inspect.common.work import result_of
 from pv_inspect.cracks import (
     NetworkDetector,
@@ -17,6 +17,8 @@ from pv_inspect.cracks import (
     operating_point_of,
     read_cracks,
 )
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.settings import Settings
 from tests.handmade import made_reconstruction
 
@@ -79,6 +81,34 @@ def test_lengths_in_millimetres_need_the_size_of_the_cell() -> None:
     assert cell.crack_length_mm == pytest.approx(156 * cell.crack_length_cells)
     _, found = drained(read_cracks(tiles, Settings(), BelowLevel()))
     assert np.isnan(found.cells[1].crack_length_mm)
+
+
+def test_in_a_narrow_cell_lengths_have_the_usual_unit_and_areas_are_of_the_cell_itself() -> None:
+    grid = HrGrid.covering(ModuleLayout(2, 3, col_widths=((2, 0.5),)), 20.0, 4.0)
+    image = np.full(grid.shape, 0.4, np.float32)
+    y, x = grid.cell_slices(0, 1)
+    cv2.line(image, (x.start + 15, y.start + 10), (x.start + 25, y.start + 70), 0.1, 2)
+    y, x = grid.cell_slices(1, 1)
+    image[y, x.start : x.start + 20] = 0.05
+    tiles = CellTiles(image, grid)
+    _, found = drained(read_cracks(tiles, Settings(cell_width_mm=156.0), BelowLevel()))
+    cracked, half_dark = found.cells[1], found.cells[4]
+    assert cracked.crack_length_cells == pytest.approx(np.hypot(10, 60) / 80, abs=0.03)
+    assert cracked.crack_length_mm == pytest.approx(156 * cracked.crack_length_cells)
+    assert half_dark.dark_area_share == pytest.approx(0.5, abs=0.05)
+    assert found.cells[0].crack_instances == found.cells[2].crack_instances == 0
+
+
+@pytest.mark.parametrize("detector", ["network", "ridge"])
+def test_a_crack_in_a_narrow_cell_is_found_by(detector: str) -> None:
+    grid = HrGrid.covering(ModuleLayout(1, 3, col_widths=((3, 0.5),)), 20.0, 4.0)
+    image = np.full(grid.shape, 0.4, np.float32)
+    y, x = grid.cell_slices(0, 2)
+    cv2.line(image, (x.start + 8, y.start + 12), (x.start + 34, y.start + 66), 0.1, 2)
+    tiles = CellTiles(image, grid)
+    _, found = drained(read_cracks(tiles, Settings.create(detector=detector)))
+    assert max(found.cells, key=lambda cell: cell.crack_score).col == 2
+    assert found.probability.shape == image.shape
 
 
 def test_noise_in_a_dead_cell_is_no_crack() -> None:

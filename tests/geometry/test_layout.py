@@ -119,14 +119,74 @@ def test_the_tiles_of_a_module_with_gaps_are_alike_and_lie_where_its_cells_are(
     assert len(shapes) == 1
 
 
-@given(gapped)
+uneven = st.builds(
+    lambda layout, row, col, width: ModuleLayout(
+        layout.rows + 1,
+        layout.cols + 1,
+        layout.cell_aspect,
+        layout.row_gaps,
+        layout.col_gaps,
+        layout.cell_gap,
+        ((row % layout.rows + 1, 1.3 * width / layout.cell_aspect),),
+        ((col % layout.cols + 1, width),),
+    ),
+    gapped,
+    st.integers(0, 11),
+    st.integers(0, 11),
+    st.sampled_from([0.5, 0.73, 1.4]),
+)
+
+
+def test_a_narrow_column_moves_what_lies_beyond_it() -> None:
+    layout = ModuleLayout(2, 4, 0.5, col_gaps=((2, 0.2),), col_widths=((2, 0.4),))
+    assert layout.col_lines.tolist() == pytest.approx([0, 1, 1.5, 2.6, 3.6])
+    assert layout.col_starts.tolist() == pytest.approx([0, 1, 1.6, 2.6])
+    assert layout.size == pytest.approx((3.6, 4.0))
+    assert layout.cell_corners(0, 1)[[0, 2]].ravel().tolist() == pytest.approx([1, 0, 1.4, 2])
+    assert layout.cell_centres()[1].tolist() == pytest.approx([1.2, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"col_widths": ((5, 0.5),)}, "from 1 to 4"),
+        ({"col_widths": ((2, 0.5), (1, 0.5))}, "in order"),
+        ({"col_widths": ((2, 0.05),)}, "Column 2 is said to be 0.05 .* 0.1 to 2"),
+        ({"row_heights": ((1, 5.0),)}, "Row 1 is said to be 5"),
+        ({"row_heights": ((1, 0.5), (2, 0.5), (3, 0.5))}, "All 3 rows are said to differ"),
+        ({"col_widths": ((2, 0.2),), "cell_gap": (0.15, 0.15)}, "half of a cell"),
+    ],
+)
+def test_widths_that_are_none_are_refused(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(InspectionError, match=words):
+        ModuleLayout(3, 4, **changes)
+
+
+@given(uneven, st.floats(30, 90))
+def test_tiles_of_uneven_cells_lie_where_the_cells_are_and_are_alike_in_a_column(
+    layout: ModuleLayout, scale: float
+) -> None:
+    grid = HrGrid.covering(layout, scale, 2.0)
+    widths: dict[float, set[int]] = {}
+    for row, col in np.ndindex(layout.rows, layout.cols):
+        down, across = grid.cell_slices(row, col)
+        corners = grid.to_pixels(layout.cell_corners(row, col))
+        np.testing.assert_allclose([across.start - 0.5, down.start - 0.5], corners[0], atol=1.01)
+        np.testing.assert_allclose([across.stop - 0.5, down.stop - 0.5], corners[2], atol=1.51)
+        assert across.stop <= grid.shape[1]
+        assert down.stop <= grid.shape[0]
+        widths.setdefault(float(layout.widths[col]), set()).add(across.stop - across.start)
+    assert all(len(pixels) == 1 for pixels in widths.values())
+
+
+@given(gapped | uneven)
 def test_the_cells_cut_in_four_lie_on_the_lines_of_the_module(layout: ModuleLayout) -> None:
     finer = layout.halved()
     np.testing.assert_allclose(finer.col_lines[::2], 2 * layout.col_lines, atol=1e-9)
     np.testing.assert_allclose(finer.row_lines[::2], 2 * layout.row_lines, atol=1e-9)
 
 
-@given(gapped, st.integers(1, 3))
+@given(gapped | uneven, st.integers(1, 3))
 def test_rows_and_columns_around_leave_the_module_as_it_is(layout: ModuleLayout, n: int) -> None:
     around = layout.with_rows_around(n)
     inside = around.col_lines[n:-n] - around.col_lines[n]
@@ -138,3 +198,5 @@ def test_a_module_is_turned_only_where_its_lines_fall_onto_each_other() -> None:
     assert ModuleLayout(3, 4).turns == (0, 2)
     assert ModuleLayout(4, 4, col_gaps=((2, 0.1),)).turns == (0, 2)
     assert ModuleLayout(4, 4, col_gaps=((1, 0.1),)).turns == (0,)
+    assert ModuleLayout(4, 4, col_widths=((4, 0.5),)).turns == (0,)
+    assert ModuleLayout(4, 4, col_widths=((1, 0.5), (4, 0.5))).turns == (0, 2)

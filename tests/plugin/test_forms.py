@@ -24,6 +24,8 @@ OTHER_VALUES: dict[str, Any] = {
     "row_gaps": "3:0.1",
     "col_gaps": "5:0.2, 8:0.1",
     "cell_gap": 0.05,
+    "row_heights": "6:0.5",
+    "col_widths": "1:0.5, 10:0.5",
     "module_at": (120.0, 80.5),
     "dark_frame": Path("dark.tif"),
     "flat_frame": Path("flat.tif"),

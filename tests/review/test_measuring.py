@@ -4,8 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+from pv_inspect.cells import CellTiles
 from pv_inspect.cracks.isolation import Busbars
 from pv_inspect.errors import InspectionError
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.review import Measure, measured
 
 N = 200
@@ -20,6 +23,24 @@ def line(start: tuple[int, int], end: tuple[int, int]) -> np.ndarray:
     mask = np.zeros((N, N), np.uint8)
     cv2.line(mask, start, end, 1, 3)
     return mask > 0
+
+
+def test_busbars_are_those_of_cells_of_the_same_size() -> None:
+    grid = HrGrid.covering(ModuleLayout(3, 3, col_widths=((3, 0.5),)), 25.0, 4.0)
+    image = np.full(grid.shape, 0.4, np.float32)
+    for row, col in np.ndindex(3, 3):
+        y, x = grid.cell_slices(row, col)
+        for across in (25, 75) if col < 2 else (25,):
+            image[y, x.start + across - 2 : x.start + across + 2] = 0.15
+    measure = Measure.of_cells(CellTiles(image, grid), 0.5, None, None)
+    whole, cut = measure.busbars[100, 100], measure.busbars[100, 50]
+    assert whole is not None
+    assert cut is not None
+    for bars, places in ((whole, (25, 75)), (cut, (25,))):
+        assert not bars.horizontal
+        near = np.any([abs(np.arange(bars.lines.size) - at) < 6 for at in places], axis=0)
+        assert not bars.lines[~near].any()
+        assert all(bars.lines[at - 5 : at + 5].any() for at in places)
 
 
 def test_the_length_follows_the_brush() -> None:

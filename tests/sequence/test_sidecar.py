@@ -43,6 +43,15 @@ def test_whatever_stands_in_it_is_told_in_one_sentence(
     assert "module.json" in text
 
 
+def test_widths_of_columns_are_text_or_an_object(tmp_path: Path) -> None:
+    assert read(tmp_path, b'{"col_widths": {"12": 0.5}}') == {"col_widths": "12:0.5"}
+    assert read(tmp_path, b'{"row_heights": "1:78mm"}') == {"row_heights": "1:78mm"}
+    with pytest.raises(InspectionError, match=r"col_widths: 0\.5 is no list of widths"):
+        read(tmp_path, b'{"col_widths": 0.5}')
+    with pytest.raises(InspectionError, match="row_heights: 'x' is no width: write NUMBER:WIDTH"):
+        read(tmp_path, b'{"row_heights": "x"}')
+
+
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
     assert read(tmp_path, b'\xef\xbb\xbf{"rows": 6}') == {"rows": 6}
     for coding in ("utf-16", "utf-16-be"):
