@@ -38,14 +38,14 @@ OTHERS = ("as it is", "cut corners", "surround", "interrupted", "gradient", "gra
           "other metal")  # fmt: skip
 
 
-def simulated(rng: np.random.Generator) -> Image:
+def simulated(rng: np.random.Generator, busbars: int, interrupted: bool = True) -> Image:
     """Cell of the simulator's silicon and metal."""
     shape, pitch = (CELL_PX, CELL_PX), 1 / CELL_PX
-    busbars = int(rng.integers(2, 7))
     silicon = multicrystalline if rng.random() < 0.5 else monocrystalline
     value = silicon(rng, shape, pitch) * cell_shading(rng, shape, busbars)
     value *= metal(rng, shape, pitch, busbars, str(rng.choice(["solid", "dashed"])))
-    value *= finger_interruptions(rng, shape, pitch, busbars)
+    if interrupted:
+        value *= finger_interruptions(rng, shape, pitch, busbars)
     return np.asarray(value * 0.6, np.float32)
 
 
@@ -139,7 +139,8 @@ def rendered_rows(cells: list[LabelledCell], seed: int, count: int) -> list[str]
             image, label = prepared(cell.image, cell.label)
             grey = np.asarray(image, np.float32) / np.float32(255)
             if rng.random() < 0.4:
-                grey, label = simulated(rng), np.zeros_like(label)
+                grey = simulated(rng, int(rng.integers(2, 7)))
+                label = np.zeros_like(label)
             mask = np.zeros(grey.shape, bool)
             if kind in SHAPES:
                 if rng.random() < 0.5:

@@ -86,7 +86,7 @@ def main() -> None:
         cell = clean[rng.integers(len(clean))]
         image, _ = prepared(cell.image, cell.label)
         grey = np.asarray(image, np.float32) / np.float32(255)
-        grey = simulated(rng) if rng.random() < 0.4 else grey
+        grey = simulated(rng, int(rng.integers(2, 7))) if rng.random() < 0.4 else grey
         drawn, mask, length = cracked(grey, rng)
         tile, seen = photographed(np.asarray(drawn, np.float32), mask, rng)
         if tile.shape[0] != tile.shape[1]:

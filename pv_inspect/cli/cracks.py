@@ -79,6 +79,7 @@ def cracks_of(
         read_plain_cell,
         tiff_bytes,
     )
+    from pv_inspect.cracks.wording import finger_text
 
     files = image_files(images)
     place = output_folder(out)
@@ -113,9 +114,11 @@ def cracks_of(
     if cells:
         replace_file(place / "cells.csv", cells_csv(cells).encode())
     if not quiet:
+        fingers = finger_text(cell.features for cell in cells)
         typer.echo(
             f"cells     {CellCounts.of(cell.features for cell in cells).text}"
             + (f"; {refused} images could not be used" if refused else "")
+            + (f"\nfingers   {fingers}" if fingers else "")
             + f"\ndetector  {detector.name}\nresults   {printable(str(out))}"
         )
     return not refused

@@ -18,6 +18,7 @@ from pv_inspect.cracks.areas import (
 )
 from pv_inspect.cracks.blocks import LEAST_BLOCK, cut_off_blocks
 from pv_inspect.cracks.centreline import branches, length_of
+from pv_inspect.cracks.fingers import InterruptedFinger, interrupted_fingers
 from pv_inspect.cracks.isolation import Busbars
 from pv_inspect.cracks.marks import OperatingPoint, crack_marks
 from pv_inspect.cracks.seen import sight_known, would_show
@@ -102,6 +103,12 @@ class CellFeatures:
     edge_blur : float
         Blur of the image at the edges of the cell, standard deviation in cell widths; NaN if it is
         not known.
+    finger_interruptions : float
+        Number of dark bars along fingers (`interrupted_fingers`); they are no cracks and count in
+        no other feature. NaN where they are not looked for: in dark cells, in cells in which
+        cracks would not show, without busbars, in a table of an older version.
+    finger_interruption_length_cells : float
+        Their length together, in cell widths; NaN as above.
     """
 
     row: int
@@ -124,6 +131,8 @@ class CellFeatures:
     cut_off_share: float = float("nan")
     crack_detail: float = float("nan")
     edge_blur: float = float("nan")
+    finger_interruptions: float = float("nan")
+    finger_interruption_length_cells: float = float("nan")
 
     @property
     def has_marks(self) -> bool:
@@ -307,6 +316,9 @@ def measure_cell(
             firm = [m for m, share in zip(marks, shares, strict=True) if share < _UNSUPPORTED_SHARE]
             without = _class_of(len(firm), *isolated(tile, firm, busbars))
             unsure = without != _class_of(len(marks), cut_off, brightness)
+    fingers: list[InterruptedFinger] | None = None
+    if busbars is not None and readable and (not sight_known(seen[0]) or would_show(*seen)):
+        fingers = interrupted_fingers(tile, busbars, marks)
     n_score = round(_SCORE_LENGTH_CELLS * _SCORE_WIDTH_CELLS * cell_width_px**2)
     n_score = min(max(n_score, 1), probability.size)
     highest = np.partition(probability, probability.size - n_score, axis=None)[-n_score:]
@@ -333,4 +345,16 @@ def measure_cell(
         cut_off_share=block_share,
         crack_detail=seen[0],
         edge_blur=seen[1],
+        **_finger_features(fingers, cell_width_px),
     )
+
+
+def _finger_features(
+    fingers: list[InterruptedFinger] | None, cell_width_px: float
+) -> dict[str, float]:
+    if fingers is None:
+        return {}
+    return {
+        "finger_interruptions": float(len(fingers)),
+        "finger_interruption_length_cells": sum(bar.length_px for bar in fingers) / cell_width_px,
+    }

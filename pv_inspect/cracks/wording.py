@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from pv_inspect.cracks.counts import CellState
 from pv_inspect.cracks.features import UNSUPPORTED, CellFeatures
@@ -14,6 +15,7 @@ __all__ = [
     "SUPPORT_RULE",
     "class_text",
     "described",
+    "finger_text",
     "length_text",
     "tooltip",
     "undecidable_because",
@@ -131,6 +133,11 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
             pairs.append(("cut off at worst", f"{cut_off:.1%} of the cell{bright}"))
     if cell.cut_off_share > 0:
         pairs.append(("cut off, by its edge", f"{cell.cut_off_share:.1%} of the cell"))
+    if cell.finger_interruptions > 0:
+        length = f"together {cell.finger_interruption_length_cells:.2f} cell widths, no cracks"
+        pairs.append(("interrupted fingers", f"{cell.finger_interruptions:.0f}, {length}"))
+    elif not math.isnan(cell.finger_interruptions):
+        pairs.append(("interrupted fingers", "none seen"))
     dark = f"{cell.dark_area_share:.1%} of the cell, largest piece {cell.largest_dark_share:.1%}"
     pairs += [
         ("dark area", dark),
@@ -149,6 +156,30 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
         share = f"{cell.unsupported_share:.0%} of the {where} is unsupported"
         pairs.append(("supported by the frames", f"{supported}, {share}"))
     return pairs
+
+
+def finger_text(cells: Iterable[CellFeatures]) -> str:
+    """Sum up the interrupted fingers of a module, with the cells in which none was looked for.
+
+    Parameters
+    ----------
+    cells : iterable of CellFeatures
+
+    Returns
+    -------
+    str
+        No full stop; "" if none was seen.
+    """
+    cells = list(cells)
+    known = [cell for cell in cells if not math.isnan(cell.finger_interruptions)]
+    n = round(sum(cell.finger_interruptions for cell in known))
+    if not n:
+        return ""
+    affected = sum(cell.finger_interruptions > 0 for cell in known)
+    text = f"{n} interrupted {'finger' if n == 1 else 'fingers'} in {affected} of {len(cells)} "
+    text += f"{'cell' if len(cells) == 1 else 'cells'}, no cracks by themselves"
+    left = len(cells) - len(known)
+    return f"{text}; not looked for in {left}" if left else text
 
 
 def tooltip(cell: CellFeatures) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pv_inspect.cracks import CrackMap
+from pv_inspect.cracks.wording import finger_text
 from pv_inspect.errors import printable
 from pv_inspect.inspection.doubts import left_out, no_super_resolution, not_used_sentence
 from pv_inspect.inspection.figures import RESIDUAL_MEANING, median_text
@@ -38,11 +39,13 @@ def summary(inspection: Inspection, out: Path, seconds: float) -> str:
     told = [not_used_sentence(*frame) for frame in unused]
     height, width = reconstruction.image.shape
     plain = no_super_resolution(inspection.need(Registration), inspection.frames.shape)
+    fingers = finger_text(inspection.need(CrackMap).cells)
     told.append(plain)
     lines = [
         *(f"IN DOUBT  {text}" for text in inspection.doubts),
         *([f"warning   {plain}"] if plain else []),
         f"cells     {inspection.need(CrackMap).counts.text}",
+        *([f"fingers   {fingers}"] if fingers else []),
         f"frames    {int(used.sum())} of {used.size} used",
         *(f"  not used: {name}: {why}" for name, why in unused),
         f"residual  {median_text(reconstruction.residual_rms)} ({RESIDUAL_MEANING})",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pv_inspect.cracks import CrackMap
+from pv_inspect.cracks.wording import finger_text
 from pv_inspect.errors import printable
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
@@ -52,6 +53,8 @@ def inspection_html(inspection: Inspection) -> str:
     poses, cracks = registration or inspection.calibration, inspection.cracks
     n_frames = len(inspection.names)
     rows = [] if cracks is None else [("cells", cracks.counts.text)]
+    if cracks is not None and (fingers := finger_text(cracks.cells)):
+        rows.append(("fingers", fingers))
     rows.append(_layout_row(inspection.layout, inspection.layout_guessed))
     picture = None
     if poses is not None:

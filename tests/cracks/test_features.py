@@ -391,3 +391,27 @@ def test_a_broad_dark_part_is_class_c_also_where_cracks_would_not_show() -> None
     dark[:40] = True
     found = supported(drawn(CUTTING), half_supported(0), blocks=dark, seen=(0.1, 0.05))
     assert found.crack_class == "C"
+
+
+def test_interrupted_fingers_are_counted_and_make_no_class() -> None:
+    tile = np.full((SIDE, SIDE), 0.5, np.float32)
+    tile[65:110, 80:83] = tile[70:130, 150:152] = 0.3
+    arguments = {"row": 0, "col": 0, "cell_width_px": SIDE, "usual_intensity": 0.5}
+    bars = busbars(60, 140)
+    nothing = np.zeros(tile.shape, np.float32)
+    found = measure_cell(tile, nothing, 0.5, busbars=bars, **arguments)  # type: ignore[arg-type]
+    assert found.finger_interruptions == 2
+    assert found.finger_interruption_length_cells == pytest.approx(105 / SIDE, rel=0.15)
+    assert (found.crack_class, found.crack_length_cells) == ("none", 0)
+    # A mark on one of them: of the two a crack is worse, and it alone is counted.
+    marked = np.zeros(tile.shape, np.float32)
+    marked[65:110, 80:83] = 0.9
+    crack = measure_cell(tile, marked, 0.5, busbars=bars, **arguments)  # type: ignore[arg-type]
+    assert (crack.crack_class, crack.crack_instances, crack.finger_interruptions) == ("A", 1, 1)
+
+
+def test_interrupted_fingers_are_unknown_where_they_are_not_looked_for() -> None:
+    assert np.isnan(measured(drawn(CUTTING)).finger_interruptions)  # no busbars
+    dark = supported(drawn(CUTTING), half_supported(0), beyond=1.0, seen=(0.1, 0.01))
+    assert np.isnan(dark.finger_interruptions)  # cracks would not show
+    assert with_busbars(np.zeros((SIDE, SIDE), bool)).finger_interruptions == 0

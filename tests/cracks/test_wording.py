@@ -5,7 +5,14 @@ from dataclasses import replace
 import pytest
 
 from pv_inspect.cracks.features import CellFeatures
-from pv_inspect.cracks.wording import CLASS_RULE, CLASS_WORDS, class_text, described, tooltip
+from pv_inspect.cracks.wording import (
+    CLASS_RULE,
+    CLASS_WORDS,
+    class_text,
+    described,
+    finger_text,
+    tooltip,
+)
 
 CELL = CellFeatures(
     row=0,
@@ -77,3 +84,16 @@ def test_the_reason_why_a_cell_cant_be_judged_is_in_its_description() -> None:
     assert "too short or too faint" in weak["class"]
     assert "unlike all that the detector has learnt" in strange["class"]
     assert strange["novelty of its look"].startswith("1.50")
+
+
+def test_interrupted_fingers_are_told_with_the_cells_where_none_was_looked_for() -> None:
+    two = replace(CELL, finger_interruptions=2.0, finger_interruption_length_cells=0.41)
+    none = replace(CELL, finger_interruptions=0.0, finger_interruption_length_cells=0.0)
+    assert dict(described(two))["interrupted fingers"] == "2, together 0.41 cell widths, no cracks"
+    assert dict(described(none))["interrupted fingers"] == "none seen"
+    assert "interrupted fingers" not in dict(described(CELL))
+    assert finger_text([two, none]) == (
+        "2 interrupted fingers in 1 of 2 cells, no cracks by themselves"
+    )
+    assert finger_text([two, CELL]).endswith("no cracks by themselves; not looked for in 1")
+    assert finger_text([none, CELL]) == ""

@@ -101,7 +101,7 @@ def test_the_features_of_cells_are_in_the_record_with_their_class(tmp_path: Path
     head = (tmp_path / "out" / "cells.csv").read_text().splitlines()[0]
     assert head.endswith(
         "unsupported_share,unsure,weak_marks,novelty,cut_off_share,crack_detail,edge_blur,"
-        "crack_class,marked_class"
+        "finger_interruptions,finger_interruption_length_cells,crack_class,marked_class"
     )
 
 

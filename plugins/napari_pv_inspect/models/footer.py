@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
+from pv_inspect.cracks import CrackMap
+from pv_inspect.cracks.wording import finger_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.settings import Stage
@@ -21,7 +23,8 @@ class Facts:
     doubts : tuple of str
         Why it must not be relied on.
     cells : str
-        How many cells are suspected, clean, dark or can't be judged; "" if that is not known.
+        How many cells are suspected, clean, dark or can't be judged, and how many fingers are
+        interrupted; "" if that is not known.
     numbers : str
         Frames, kappa, magnification.
     warnings : tuple of str
@@ -67,11 +70,15 @@ def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
         details = _details(made)
     return Facts(
         inspection.doubts,
-        "" if cracks is None else cracks.counts.text,
+        "" if cracks is None else _cells_text(cracks),
         numbers,
         _without_frames(inspection.warnings),
         details,
     )
+
+
+def _cells_text(cracks: CrackMap) -> str:
+    return "; ".join(filter(None, (cracks.counts.text, finger_text(cracks.cells))))
 
 
 def _details(made: Reconstruction) -> str:
