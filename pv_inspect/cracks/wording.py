@@ -148,7 +148,9 @@ def described(cell: CellFeatures) -> list[tuple[str, str]]:
         pairs.append(("novelty of its look", f"{cell.novelty:.2f}, from 1 on it can't be judged"))
     if sight_known(cell.crack_detail):
         show = why_unseen(cell.crack_detail, cell.edge_blur) or "cracks would show"
-        blur = "unknown" if math.isnan(cell.edge_blur) else f"{cell.edge_blur:.2%} of its width"
+        blur = (
+            "unknown" if math.isnan(cell.edge_blur) else f"{cell.edge_blur:.2%} of a cell's width"
+        )
         pairs.append(("seen", f"{cell.crack_detail:.0%} of fine detail, blur {blur}: {show}"))
     elif not math.isnan(cell.unsupported_share):
         where = "crack length" if cell.has_marks else "cell"

@@ -154,7 +154,7 @@ def test_cells_in_which_cracks_would_not_show_are_marked_and_counted() -> None:
     text = " ".join(Reader(html).text.split())
     assert "1 of 6 cells can't be judged from these frames; cracks suspected in 1, 4 clean." in text
     assert "can't be judged ✱" in text
-    assert "blur 2.00% of its width: too blurred for cracks to show" in titles(html)[0]
+    assert "blur 2.00% of a cell&#39;s width: too blurred for cracks to show" in titles(html)[0]
     assert "Cracks would not show: less than 60%" in text
     of_old = html_of(replace(first, crack_detail=np.nan, unsupported_share=0.8, unsure=True))
     assert "80% of the cell is unsupported" in titles(of_old)[0]
