@@ -312,7 +312,7 @@ def _starts(
     seen = pose.aspect * ratio
     uneven = (layout.row_heights or layout.col_widths) and 2 not in layout.turns
     turns = range(4 if uneven else 2)
-    starts = [pose.turned(layout.size, layout.size, turn) for turn in turns]
+    starts = [pose, *(pose.turned(layout.size, layout.size, turn) for turn in turns[1:])]
     errors = [abs(np.log(seen * ratio if turn % 2 else seen / ratio)) for turn in turns]
     if min(errors) > np.log(MAX_ASPECT_RATIO_ERROR):
         raise OutlineError(
