@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Generator
+from contextlib import suppress
 from functools import partial
 
 import numba
@@ -17,6 +18,7 @@ from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import Found, detect_in_frame
 from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
 
 __all__ = ["found_together"]
@@ -26,6 +28,8 @@ __all__ = ["found_together"]
 
 PROBED = 6
 BESIDE = "where its cells lie does not go with what the other frames show"
+NARROW_SEARCHES = (0.04, 0.04)
+"""Half widths of the searches across a gap, cells: the grid of a part is right to 0.01."""
 LEAST_SHARE_FOUND = 0.5
 """Share of the joined frames in which the borders of the whole grid must be in place."""
 
@@ -87,10 +91,11 @@ def found_together(
         if k not in poses:
             reasons[k] = OutlineError(NO_PLACE)
             continue
-        try:
-            found[k] = detect_in_frame(sequence.frame(k).image, layout, poses[k])
-        except OutlineError as error:
-            reasons[k] = error
+        outcome = _detected(sequence.frame(k).image, layout, poses[k])
+        if isinstance(outcome, OutlineError):
+            reasons[k] = outcome
+        else:
+            found[k] = outcome
     seen_at_last = {
         k: part_of_module(sequence.frame(k).image, one[0], layout.cell_aspect)
         for k, one in found.items()
@@ -102,6 +107,16 @@ def found_together(
         first = next(str(reasons[k]) for k in poses if k in reasons)
         raise OutlineError(f"the grid of the whole does not lie on the parts ({first})")
     return found, reasons
+
+
+def _detected(image: NDArray[np.float32], layout: ModuleLayout, pose: Pose) -> Found | OutlineError:
+    """Read the crossing points: the grid lies on the borders by now, unless it lay on busbars."""
+    with suppress(OutlineError):
+        return detect_in_frame(image, layout, pose, searches=NARROW_SEARCHES)
+    try:
+        return detect_in_frame(image, layout, pose)
+    except OutlineError as error:
+        return error
 
 
 def _seen(image: NDArray[np.float32], cell_aspect: float) -> Part | OutlineError:

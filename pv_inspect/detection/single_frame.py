@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -93,6 +93,7 @@ def detect_in_frame(
     *,
     whole: bool = False,
     to_the_edge: bool = False,
+    searches: Sequence[float] = SEARCH_UNITS,
 ) -> Found:
     """Refine a coarse pose on the gaps between the cells and read the crossing points.
 
@@ -106,6 +107,9 @@ def detect_in_frame(
         Whether the frame is known to show the whole module.
     to_the_edge : bool
         Whether outer lines may lie on the border of the image, where they can't be measured.
+    searches : sequence of float, optional
+        Half widths of the searches across a gap, cells, one after the other. Narrow ones do not
+        reach the busbars beside a gap, where the pose is known better.
 
     Returns
     -------
@@ -127,7 +131,7 @@ def detect_in_frame(
         raise OutlineError("what is bright in it determines no pose of a flat module")
     least, most = MIN_SEARCH_PX / scale, MAX_SEARCH_PX / scale
     parts = split_edges(edges)
-    for search in SEARCH_UNITS:
+    for search in searches:
         reach = min(max(search, least), most)
         pose = refined_pose(pose, parts, measure_edges(image, parts, pose, reach))
     if not abs(pose.camera.kappa) <= MAX_KAPPA:

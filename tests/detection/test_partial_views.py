@@ -16,6 +16,7 @@ from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
 from pv_inspect.detection.joined_views import beside_others, poses_together
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
+from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -202,3 +203,25 @@ def test_frames_without_a_grid_are_counted_first(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(partial_views, "_seen", part)
     with pytest.raises(OutlineError, match="seen in only 4 of 6, and only 3 of 4 fit together"):
         result_of(partial_views.found_together(numbered, ModuleLayout(5, 6), range(6)))
+
+
+def test_busbars_near_the_borders_do_not_draw_a_grid_that_lies_on_them(
+    monkeypatch: pytest.MonkeyPatch, frames: list[tuple[NDArray[np.float32], Pose]]
+) -> None:
+    tried: list[float] = []
+
+    def detect(
+        image: NDArray[np.float32], layout: ModuleLayout, start: Pose, searches: Any = (0.12,)
+    ) -> Any:
+        tried.append(max(searches))
+        if max(searches) > 0.05:
+            raise OutlineError("only 56 % of the borders are where they should be")
+        return detect_in_frame(image, layout, start, searches=searches)
+
+    monkeypatch.setattr(partial_views, "detect_in_frame", detect)
+    image, pose = frames[4]
+    assert not isinstance(partial_views._detected(image, LAYOUT, pose), OutlineError)
+    # A grid that lay on busbars is drawn from there.
+    outcome = partial_views._detected(image, LAYOUT, _own_grid(pose, 0.2, 0.2).pose)
+    assert isinstance(outcome, OutlineError)
+    assert tried == [0.04, 0.04, 0.12]
