@@ -117,7 +117,11 @@ def cracks_of(
         fingers = finger_text(cell.features for cell in cells)
         typer.echo(
             f"cells     {CellCounts.of(cell.features for cell in cells).text}"
-            + (f"; {refused} images could not be used" if refused else "")
+            + (
+                f"; {refused} {'image' if refused == 1 else 'images'} could not be used"
+                if refused
+                else ""
+            )
             + (f"\nfingers   {fingers}" if fingers else "")
             + f"\ndetector  {detector.name}\nresults   {printable(str(out))}"
         )

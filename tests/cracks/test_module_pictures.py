@@ -77,5 +77,5 @@ def test_a_module_among_cells_is_told_and_counted_as_no_cell(
     assert "shows a grid of about 4 x 6 cells" in said[0]
     assert "`pv-inspect run`" in said[0]
     assert "the cell is clean" in run.stdout
-    assert "1 images could not be used" in run.stdout
+    assert "1 image could not be used" in run.stdout
     assert not (tmp_path / "out" / "module.tif").exists()
