@@ -28,10 +28,11 @@ Mask = NDArray[np.bool_]
 _WIDTHS = (1, 2, 3, 4, 6, 8)
 # Each side is compared over at least this width.
 _FLANK = 3
-# Least length, and the rim of the cell that is left out, in cell widths.
+# Least length, and the rim of the cell that is left out, in cell widths; least length in pixels of
+# the tile: of fewer the direction can't be told, and dark grains that touch are taken for a bar.
 _LEAST_LENGTH = 0.1
-_LEAST_PX = round(_LEAST_LENGTH * CELL_PX)
 _RIM = 0.04
+_LEAST_TILE_PX = 12
 # Bars of two spans are one line if they are no further apart across and along, pixels of
 # `CELL_PX`; along that includes the busbar.
 _ALIGNED, _APART = 4, round(0.12 * CELL_PX)
@@ -142,12 +143,13 @@ def interrupted_fingers(
     image = np.asarray(cv2.resize(tile, size, interpolation=way), np.float32)
     if not busbars.horizontal:
         image = np.ascontiguousarray(image.T)
-    spans = _spans(busbars.lines, len(image))
+    least = round(max(_LEAST_LENGTH * CELL_PX, _LEAST_TILE_PX * scale))
+    spans = _spans(busbars.lines, len(image), least)
     if not spans:
         return []
     found: list[_Bar] = []
     seen: list[_Bar] = []
-    for bar in sorted(_candidates(image, spans), key=lambda bar: -bar.weight):
+    for bar in sorted(_candidates(image, spans, least), key=lambda bar: -bar.weight):
         if any(bar.meets(other) for other in seen):
             continue
         seen.append(bar)
@@ -163,23 +165,23 @@ def interrupted_fingers(
     return [bar for bar in on_tile if _marked_share(bar, cracked) < _MOST_MARKED]
 
 
-def _spans(lines: Mask, length: int) -> list[tuple[int, int]]:
+def _spans(lines: Mask, length: int, least: int) -> list[tuple[int, int]]:
     """Rows between busbars, and beyond the outer ones, that are long enough for a bar."""
     bars = cv2.resize(lines.astype(np.uint8)[:, None], (1, length), interpolation=cv2.INTER_NEAREST)
     wide = cv2.dilate(bars, np.ones((3, 1), np.uint8))[:, 0] > 0
     rim = round(_RIM / 2 * CELL_PX)
     wide[:rim] = wide[-rim:] = True
     edges = np.flatnonzero(np.diff(wide.astype(np.int8), prepend=1, append=1)).reshape(-1, 2)
-    return [(int(a), int(b)) for a, b in edges if b - a > _LEAST_PX]
+    return [(int(a), int(b)) for a, b in edges if b - a > least]
 
 
-def _candidates(image: Image, spans: list[tuple[int, int]]) -> Iterator[_Bar]:
+def _candidates(image: Image, spans: list[tuple[int, int]], least: int) -> Iterator[_Bar]:
     """Runs of pixels along the fingers that are darker than both of their sides."""
     level = _LEAST_LEVEL * float(np.median(image))
     for width in _WIDTHS:
         response = _response(image, width, level)
-        means = [_mean_along(response[a:b], _LEAST_PX) for a, b in spans]
-        whole = slice(_LEAST_PX // 2, -(_LEAST_PX // 2))
+        means = [_mean_along(response[a:b], least) for a, b in spans]
+        whole = slice(least // 2, -(least // 2))
         places = np.concatenate([part[whole].ravel() for part in means])
         places = places[places > _NOWHERE / 2]
         if not places.size:
@@ -198,7 +200,7 @@ def _candidates(image: Image, spans: list[tuple[int, int]]) -> Iterator[_Bar]:
             starts, stops = (np.argwhere(step == sign) for sign in (1, -1))
             for (k, a), (_, b) in zip(starts, stops, strict=True):
                 contrast = float(part[a:b, k].mean())
-                if b - a < _LEAST_PX or contrast < need:
+                if b - a < least or contrast < need:
                     continue
                 if (smooth[a:b, k] > _FIRM * contrast).mean() < _FIRM_SHARE:
                     continue

@@ -116,3 +116,13 @@ def test_a_cell_without_light_or_without_room_has_none() -> None:
     assert interrupted_fingers(np.zeros((SIDE, SIDE), np.float32), busbars()) == []
     everywhere = Busbars(True, np.ones(SIDE, bool))
     assert interrupted_fingers(with_bar(cell()), everywhere) == []
+
+
+def test_a_bar_of_few_pixels_is_none() -> None:
+    tile = np.full((80, 80), 0.5, np.float32)
+    tile[30:39, 40] = 0.3  # 0.11 cell widths, 9 px
+    lines = np.zeros(80, bool)
+    lines[[19, 20, 59, 60]] = True
+    assert interrupted_fingers(tile, Busbars(True, lines)) == []
+    tile[30:56, 40] = 0.3
+    assert len(interrupted_fingers(tile, Busbars(True, lines))) == 1
