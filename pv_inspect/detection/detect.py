@@ -38,6 +38,7 @@ from pv_inspect.detection.single_frame import (
     detect_in_frame,
     find_module,
 )
+from pv_inspect.detection.uneven_cells import said_of_uneven
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
@@ -145,7 +146,8 @@ def detect(
         except OutlineError as error:
             why_not = str(error)
     if max(_votes(reasons).values(), default=0) > len(found) or not found:
-        raise InspectionError(_nothing_found(sequence, layout, reasons, len(found), why_not))
+        said = _nothing_found(sequence, layout, reasons, len(found), why_not)
+        raise InspectionError(said + said_of_uneven(sequence, layout, inside))
     # Whoever has no place among the parts has none beside one of them either.
     for index in () if parts_only else sorted(reasons):
         reason = reasons[index]
@@ -159,7 +161,8 @@ def detect(
         yield Progress(0.8 + 0.2 * (index + 1) / count, _MESSAGE)
     faulty = _faulty(reasons)
     if len(faulty) > len(found):
-        raise InspectionError(_mostly_faulty(sequence, layout, reasons, faulty))
+        said = _mostly_faulty(sequence, layout, reasons, faulty)
+        raise InspectionError(said + said_of_uneven(sequence, layout, inside))
     if not parts_only:
         same_way_up(sequence, layout, found)
     return Crossings(

@@ -31,6 +31,7 @@ __all__ = [
     "REACH_PX",
     "WIDTHS",
     "columns_of",
+    "depth_of_lines",
     "gap_between_all",
     "proposed_layouts",
 ]
@@ -106,14 +107,14 @@ def _hypotheses(module: NDArray[np.float32], side_px: float, n: int) -> list[_Ga
     lr_px = width / side_px
     profiles = line_profiles(module, lr_px)
     depth = along(profiles, 0) + along(profiles, REACH_PX * lr_px)
-    even = _depth_of_lines(depth, np.arange(1, n) / n)
+    even = depth_of_lines(depth, np.arange(1, n) / n)
     scale = max(float(depth.max()), 1e-6)
     wider = []
     lines = np.arange(1, n)
     for after in lines.tolist() if n > 2 else ():
         # A line beyond the wide gap moves by its width, the one in it by half.
         moves = 0.5 * (1 + np.sign(lines - after))
-        scores = [_depth_of_lines(depth, (lines + gap * moves) / (n + gap)) for gap in WIDTHS]
+        scores = [depth_of_lines(depth, (lines + gap * moves) / (n + gap)) for gap in WIDTHS]
         best = max(scores)
         # Lines as wide as a pixel leave a range of widths: its middle is nearest to the truth.
         good = float(WIDTHS[np.asarray(scores) >= ALIKE * best].mean())
@@ -128,7 +129,7 @@ def _hypotheses(module: NDArray[np.float32], side_px: float, n: int) -> list[_Ga
     return found
 
 
-def _depth_of_lines(depth: Array, places: Array) -> float:
+def depth_of_lines(depth: Array, places: Array) -> float:
     """Mean depth of the lines at these shares of the width; a wide gap must not count for more."""
     lines = depth[columns_at(places, len(depth))]
     return float(np.minimum(lines, np.median(lines)).mean())

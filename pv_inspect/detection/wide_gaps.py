@@ -38,7 +38,7 @@ from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.sequence.sequence import FrameSequence
 
-__all__ = ["gaps_in_frame", "layout_with_gaps"]
+__all__ = ["gaps_in_frame", "layout_with_gaps", "pose_basis", "robust_fit"]
 
 Array = NDArray[np.float64]
 
@@ -245,7 +245,7 @@ def _with_measured_gaps(
     use = offsets.found & edges.inner
     if use.sum() < 12:
         return None
-    base = np.einsum("nki,nk->ni", _pose_basis(edges.middle, pose), edges.normal)[use]
+    base = np.einsum("nki,nk->ni", pose_basis(edges.middle, pose), edges.normal)[use]
     values, sigma = offsets.offset[use], offsets.sigma[use]
     steps = {
         (axis, line): _step(edges, axis, place)[use]
@@ -260,7 +260,7 @@ def _with_measured_gaps(
     chosen = list(known)
     while True:
         design = np.column_stack([base, *(steps[key] for key in chosen)])
-        solution, weight = _robust_fit(design, values, sigma)
+        solution, weight = robust_fit(design, values, sigma)
         if len(chosen) - len(known) >= MOST_WIDE_GAPS:
             break
         key = _clearest_step(design, values, solution, weight, steps, chosen, pose, layout)
@@ -313,7 +313,7 @@ def _clearest_step(
     return best
 
 
-def _robust_fit(design: Array, values: Array, sigma: Array) -> tuple[Array, Array]:
+def robust_fit(design: Array, values: Array, sigma: Array) -> tuple[Array, Array]:
     """Weighted least squares with Cauchy weights; return the solution and the final weights."""
     size = np.maximum(np.abs(design).max(axis=0), 1e-12)
     # Kappa is the ninth; the others are free.
@@ -331,7 +331,7 @@ def _robust_fit(design: Array, values: Array, sigma: Array) -> tuple[Array, Arra
     return scaled / size, weight / (usual * sigma) ** 2
 
 
-def _pose_basis(points: Array, pose: Pose) -> Array:
+def pose_basis(points: Array, pose: Pose) -> Array:
     """Displacements in the module plane: 8 of a homography, then kappa; (n, 2, 9)."""
     x, y = ((points - points.mean(axis=0)) / np.ptp(points, axis=0).max()).T
     one, zero = np.ones_like(x), np.zeros_like(x)

@@ -142,7 +142,7 @@ def test_the_layout_that_fits_is_named_after_a_few_frames(
     ) as error:
         _finish(detect(frames, ModuleLayout(5, 6)))
     assert len(str(error.value)) < 400
-    assert len(looked) == 3
+    assert set(looked) == {0, 20, 39}
 
 
 @pytest.mark.parametrize("faulty", [2, 3])
