@@ -1,7 +1,7 @@
 """The priors of Eq. 7 against each other: same frames, geometry, blur and solver.
 
     python benchmarks/priors.py SEQUENCES SCORER [--only D4 D6] [--magnification 3]
-        [--priors sparse_curvature wbtv btv tikhonov] [--octaves 3] [--thresholds]
+        [--priors learned sparse_curvature wbtv btv tikhonov] [--octaves 3] [--thresholds]
 
 SEQUENCES is a folder of simulated sequences with their truth, SCORER the folder that holds
 score_sequence.py. The geometry comes from the truth; the blur, the motion and the sensor are as a
@@ -38,7 +38,7 @@ from pv_inspect.registration.registration import Registration
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
-PRIORS: tuple[PriorName, ...] = ("sparse_curvature", "wbtv", "btv", "tikhonov")
+PRIORS: tuple[PriorName, ...] = ("learned", "sparse_curvature", "wbtv", "btv", "tikhonov")
 
 
 @dataclass(frozen=True, eq=False)

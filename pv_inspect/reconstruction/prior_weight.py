@@ -21,7 +21,7 @@ from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import HeldOutPixels, View, equations_of, model_of, split
-from pv_inspect.reconstruction.prior import PriorName
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR, PriorName
 from pv_inspect.reconstruction.solver import Problem, first_guess, minimise
 
 __all__ = [
@@ -35,6 +35,7 @@ Image = NDArray[np.floating]
 
 CANDIDATES = {
     "sparse_curvature": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
+    "learned": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(9)),
     "wbtv": tuple(float(v) for v in 8.0 * 0.5 ** np.arange(10)),
     "btv": tuple(float(v) for v in 4.0 * 0.5 ** np.arange(10)),
     "tikhonov": tuple(float(v) for v in 0.2 * 0.5 ** np.arange(11)),
@@ -90,7 +91,7 @@ def choose_prior_weight(
     camera: Camera,
     trials: Sequence[Trial],
     sigma: float,
-    name: PriorName = "sparse_curvature",
+    name: PriorName = DEFAULT_PRIOR,
 ) -> Generator[float, None, tuple[float, tuple[tuple[float, float], ...]]]:
     """Find the prior weight that predicts held-out pixels best.
 
@@ -101,7 +102,7 @@ def choose_prior_weight(
         Parts of the module; their residuals are pooled.
     sigma : float
         Optical sigma, LR px.
-    name : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
+    name : {"learned", "sparse_curvature", "wbtv", "btv", "tikhonov"}
 
     Yields
     ------

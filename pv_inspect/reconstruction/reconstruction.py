@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.photometry.photometry import Photometry
 from pv_inspect.reconstruction.cell_sight import CellSight
-from pv_inspect.reconstruction.prior import PriorName
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR, PriorName
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 
 __all__ = ["NO_CURVE", "Curve", "Reconstruction", "brightness_of"]
@@ -62,7 +62,7 @@ class Reconstruction:
         empty if the user gave lambda.
     photometry : Photometry, optional
         The sensor's part in the intensities, if it was looked for.
-    prior : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
+    prior : {"learned", "sparse_curvature", "wbtv", "btv", "tikhonov"}
         What ``prior_weight`` is the weight of.
     sight : CellSight, optional
         How well every cell was seen; not in results of earlier versions.
@@ -83,7 +83,7 @@ class Reconstruction:
     iterations: int
     lambda_curve: Curve = ()
     photometry: Photometry | None = None
-    prior: PriorName = "sparse_curvature"
+    prior: PriorName = DEFAULT_PRIOR
     sight: CellSight | None = None
     psf: PsfEstimate | None = None
 

@@ -15,7 +15,7 @@ from pv_inspect.common.compiling import compiled
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.observation.stencil import Quadratic, dot
 from pv_inspect.reconstruction.preconditioner import Spectral
-from pv_inspect.reconstruction.prior import Prior, PriorName, prior_named
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR, Prior, PriorName, prior_named
 
 __all__ = ["Problem", "Solution", "first_guess", "minimise"]
 
@@ -41,7 +41,7 @@ class Problem:
         lambda.
     brightness : float
         Typical intensity of the module, full-scale units.
-    prior_name : {"sparse_curvature", "wbtv", "btv", "tikhonov"}
+    prior_name : {"learned", "sparse_curvature", "wbtv", "btv", "tikhonov"}
         R.
     continued_prior : Prior, optional
         R with its scale as it was at an image; see `continued`.
@@ -58,7 +58,7 @@ class Problem:
     equations: NormalEquations
     prior_weight: float
     brightness: float
-    prior_name: PriorName = "sparse_curvature"
+    prior_name: PriorName = DEFAULT_PRIOR
     continued_prior: Prior | None = None
 
     @property

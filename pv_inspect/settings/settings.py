@@ -207,11 +207,16 @@ class Settings(ModuleSettings):
         ge=0.1,
         le=3,
     )
-    prior: Literal["sparse_curvature", "wbtv", "btv", "tikhonov"] = tunable(
-        "sparse_curvature",
+    prior: Literal["learned", "sparse_curvature", "wbtv", "btv", "tikhonov"] = tunable(
+        "learned",
         _image(
             "prior",
             choices={
+                "learned": (
+                    "Learnt from cells",
+                    "Flattens noise and keeps what cells are made of: filters of a few pixels, "
+                    "learnt from sharp pictures of cells (convex filters).",
+                ),
                 "sparse_curvature": (
                     "Sharp edges",
                     "Flattens noise and keeps cracks sharp; an edge once found is smoothed less "
@@ -234,7 +239,8 @@ class Settings(ModuleSettings):
             },
             live=True,
         ),
-        "Prior of Eq. 7: a group-sparse penalty on second differences, the paper's weighted "
+        "Prior of Eq. 7: a convex penalty on the answers of filters learnt from cells, a "
+        "group-sparse penalty on second differences (sparse_curvature), the paper's weighted "
         "bilateral total variation (wbtv), bilateral total variation without weights (btv), or "
         "squared differences (tikhonov).",
     )

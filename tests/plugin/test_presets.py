@@ -102,7 +102,7 @@ def test_to_apply_is_one_edit_and_leaves_the_module_alone(menu: PresetMenu) -> N
     assert (model.settings.prior, model.settings.prior_weight) == ("tikhonov", None)
     assert model.settings.rows == 6
     history.undo()
-    assert (model.settings.prior, model.settings.prior_weight) == ("sparse_curvature", 2.0)
+    assert (model.settings.prior, model.settings.prior_weight) == ("learned", 2.0)
     menu.apply("Automatic")
     assert same(model.settings, Settings())
     assert model.settings.rows == 6
@@ -152,7 +152,7 @@ def test_files_are_loaded_and_written(menu: PresetMenu, tmp_path: Path) -> None:
     model = menu.model
     model.change_settings(prior="btv", psf_sigma_lr_px=0.5)
     menu.export(tmp_path / "mine")
-    model.change_settings(prior="sparse_curvature", psf_sigma_lr_px=None)
+    model.change_settings(prior="learned", psf_sigma_lr_px=None)
     menu.load(tmp_path / "mine.toml")
     assert (model.settings.prior, model.settings.psf_sigma_lr_px) == ("btv", 0.5)
     said = notices(menu)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from pv_inspect.reconstruction.in_use import values_in_use
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX
 from pv_inspect.settings import Settings
@@ -26,7 +27,7 @@ def test_what_the_last_run_found_counts_until_the_next_one() -> None:
 
 def test_before_the_first_run_values_are_typical_and_no_kappa_is_known() -> None:
     used = values_in_use(Settings())
-    assert used.prior_weight == typical_prior_weight("sparse_curvature")
+    assert used.prior_weight == typical_prior_weight(DEFAULT_PRIOR)
     assert (used.psf_sigma_lr_px, used.kappa) == (TYPICAL_SIGMA_LR_PX, None)
 
 

@@ -14,6 +14,7 @@ from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import View, equations_of, model_of
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR
 from pv_inspect.reconstruction.prior_weight import (
     CANDIDATES,
     Trial,
@@ -112,4 +113,4 @@ def test_no_view_of_any_window_leaves_a_middle_weight_without_a_curve() -> None:
     grid = HrGrid.covering(LAYOUT, 22.0, 2.0)
     weight, curve = result_of(choose_prior_weight(CAMERA, [Trial(grid, ())], SIGMA))
     assert curve == ()
-    assert weight in CANDIDATES["sparse_curvature"]
+    assert weight in CANDIDATES[DEFAULT_PRIOR]

@@ -17,6 +17,7 @@ from pv_inspect.inspection.doubts import OVER_FIT
 from pv_inspect.observation.model import ObservationModel
 from pv_inspect.observation.normal_equations import NormalEquations
 from pv_inspect.reconstruction.held_out import View
+from pv_inspect.reconstruction.prior import DEFAULT_PRIOR
 from pv_inspect.reconstruction.prior_weight import typical_prior_weight
 from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX, estimate_psf_sigma
 from pv_inspect.reconstruction.reconstruct import reconstruct
@@ -96,10 +97,10 @@ def test_bicubic_shows_the_same_place_and_brightness(
     assert shown[inner].mean() == pytest.approx(scene[inner].mean(), rel=0.01)
 
 
-@pytest.mark.parametrize("prior", ["sparse_curvature", "btv", "tikhonov"])
+@pytest.mark.parametrize("prior", ["learned", "sparse_curvature", "btv", "tikhonov"])
 def test_objective_falls_from_round_to_round(prior: str) -> None:
     sequence, registration, _ = recording(6)
-    weight = {"sparse_curvature": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
+    weight = {"learned": 0.5, "sparse_curvature": 0.5, "btv": 0.1, "tikhonov": 0.01}[prior]
     settings = settings_with(max_iterations=600, prior=prior, prior_weight=weight)
     result = result_of(reconstruct(sequence, registration, settings))
     objective = np.array(result.objective)
@@ -181,7 +182,7 @@ def test_frames_in_one_place_choose_neither_psf_nor_prior(n: int, moving: bool) 
     free = settings_with(prior_weight=None, psf_sigma_lr_px=None)
     result = result_of(reconstruct(sequence, registration, free))
     assert result.psf_sigma_lr_px == TYPICAL_SIGMA_LR_PX
-    assert result.prior_weight == typical_prior_weight("sparse_curvature")
+    assert result.prior_weight == typical_prior_weight(DEFAULT_PRIOR)
     assert result.lambda_curve == ()
     assert result.support.max() == 0.0
     baseline = bicubic(sequence, registration, result.grid, 0)

@@ -202,11 +202,13 @@ def test_a_result_of_the_first_format_keeps_its_settings_under_their_new_names(
     write_result(made_inspection(), tmp_path / "out")
     path = tmp_path / "out" / "result.json"
     record = json.loads(path.read_text())
-    assert (record.pop("format"), record["settings"]["prior"]) == (2, "sparse_curvature")
+    assert (record.pop("format"), record["settings"]["prior"]) == (2, "learned")
     record["settings"] |= {"prior": "wbtv", "second_look": False}
     del record["settings"]["second_pass"]
     path.write_text(json.dumps(record))
-    assert read_result(tmp_path / "out").settings == Settings(second_pass=False)
+    assert read_result(tmp_path / "out").settings == Settings(
+        prior="sparse_curvature", second_pass=False
+    )
 
 
 @pytest.mark.parametrize("name", ["result.json", "geometry.json"])
