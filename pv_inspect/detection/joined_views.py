@@ -20,7 +20,13 @@ from pv_inspect.detection.seen_part import SAMPLES, Part, laid_together
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["NO_PLACE", "SHOWN_TOGETHER", "beside_others", "poses_together"]
+__all__ = [
+    "NO_PLACE",
+    "SHOWN_TOGETHER",
+    "beside_others",
+    "of_another_aspect",
+    "poses_together",
+]
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -39,6 +45,9 @@ SHOWN_TOGETHER = "together they show"
 BEYOND = 0.17
 """So far beyond the outer line it must be dark, cells."""
 LEAST_DARK_SHARE = 0.3
+MOST_STRETCH = 0.03
+"""By how much the aspect of the cells may differ from that in the other frames. Right grids differ by
+0.001 at most (seeds 20, 24 and 40), grids on busbars by 0.11 to 0.14 (seeds 40 and 44)."""
 NO_PLACE = (
     "which part of the module it shows can't be told: it fits no other frame at one place only"
 )
@@ -59,6 +68,19 @@ def beside_others(parts: Mapping[int, Part]) -> list[int]:
         if beside is not None and beside > ASIDE:
             off.append(k)
     return off
+
+
+def of_another_aspect(poses: Mapping[int, Pose]) -> list[int]:
+    """Say in which frames the cells are of another aspect than in most: their grid is on busbars.
+
+    Parameters
+    ----------
+    poses : mapping of frame number to Pose
+        Of one module in frames of one camera.
+    """
+    aspects = {k: float(np.log(pose.aspect)) for k, pose in poses.items()}
+    usual = float(np.median(list(aspects.values()))) if aspects else 0.0
+    return [k for k, aspect in aspects.items() if abs(aspect - usual) > MOST_STRETCH]
 
 
 def poses_together(parts: Mapping[int, Part], layout: ModuleLayout) -> dict[int, Pose]:

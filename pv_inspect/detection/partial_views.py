@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from pv_inspect.common.parallel import parallel_map
 from pv_inspect.common.work import Progress
 from pv_inspect.detection.grid_of_a_part import grid_of_part
-from pv_inspect.detection.joined_views import NO_PLACE, beside_others, poses_together
+from pv_inspect.detection.joined_views import (
+    NO_PLACE,
+    beside_others,
+    of_another_aspect,
+    poses_together,
+)
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import Found, detect_in_frame
@@ -28,6 +33,7 @@ __all__ = ["found_together"]
 
 PROBED = 6
 BESIDE = "where its cells lie does not go with what the other frames show"
+UNLIKE = "its cells are of another aspect than those of the other frames, as on busbars"
 NARROW_SEARCHES = (0.04, 0.04)
 """Half widths of the searches across a gap, cells: the grid of a part is right to 0.01."""
 LEAST_SHARE_FOUND = 0.5
@@ -96,6 +102,9 @@ def found_together(
             reasons[k] = outcome
         else:
             found[k] = outcome
+    for k in of_another_aspect({k: one[0] for k, one in found.items()}):
+        del found[k]
+        reasons[k] = OutlineError(UNLIKE)
     seen_at_last = {
         k: part_of_module(sequence.frame(k).image, one[0], layout.cell_aspect)
         for k, one in found.items()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pv_inspect.common.work import result_of
 from pv_inspect.detection import partial_views
 from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
-from pv_inspect.detection.joined_views import beside_others, poses_together
+from pv_inspect.detection.joined_views import beside_others, of_another_aspect, poses_together
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import detect_in_frame
@@ -179,6 +179,16 @@ def test_a_frame_that_lies_beside_what_the_others_show_is_named(
     image, pose = frames[1]
     moved = Pose(pose.camera, pose.homography @ np.array([[1.0, 0, 0], [0, 1, 0.12], [0, 0, 1]]))
     assert beside_others({**at_last, 1: part_of_module(image, moved, 1.0)}) == [1]
+
+
+def test_a_frame_whose_cells_are_of_another_aspect_is_named(
+    frames: list[tuple[NDArray[np.float32], Pose]],
+) -> None:
+    poses = {k: pose for k, (_, pose) in enumerate(frames)}
+    assert of_another_aspect({}) == []
+    assert of_another_aspect(poses) == []
+    higher = Pose(poses[1].camera, poses[1].homography @ np.diag([1.0, 1.13, 1.0]))
+    assert of_another_aspect({**poses, 1: higher}) == [1]
 
 
 @pytest.mark.parametrize("aside", [0.13, 0.0])
