@@ -46,8 +46,8 @@ BEYOND = 0.17
 """So far beyond the outer line it must be dark, cells."""
 LEAST_DARK_SHARE = 0.3
 MOST_STRETCH = 0.03
-"""By how much the aspect of the cells may differ from that in the other frames. Right grids differ by
-0.001 at most (seeds 20, 24 and 40), grids on busbars by 0.11 to 0.14 (seeds 40 and 44)."""
+"""By how much the aspect of the cells may differ from that in the other frames. Right grids differ
+by 0.001 at most (seeds 20, 24 and 40), grids on busbars by 0.11 to 0.14 (seeds 40 and 44)."""
 NO_PLACE = (
     "which part of the module it shows can't be told: it fits no other frame at one place only"
 )
