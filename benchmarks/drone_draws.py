@@ -97,4 +97,5 @@ def rms_px(registration: Registration, true: SimulatedSequence) -> float:
         points = registration.crossings_px(int(i))
         # A module looks the same when turned by 180 degrees.
         ways += [np.square(p - wanted)[seen].sum(axis=1).mean() for p in (points, points[::-1])]
-    return float(np.sqrt(ways.min() / len(used)))
+    # The other way round, points may lie where no ray comes from.
+    return float(np.sqrt(np.nanmin(ways) / len(used)))
