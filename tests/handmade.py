@@ -52,6 +52,9 @@ class FakeSequence:
     def says_gaps(self, _settings: Settings) -> bool:
         return True
 
+    def says_sizes(self, _settings: Settings) -> bool:
+        return False
+
 
 def made_crossings(n_frames: int = 3) -> Crossings:
     points = LAYOUT.crossings() * 20 + 10

@@ -140,11 +140,11 @@ def minimise(
         Limit of conjugate gradient steps in all.
     tolerance : float
         Converged when a whole round lowers E by less than this share of it and changes the image
-        by less than three times this share of the brightness, rms. The default ends within about
-        0.1 dB of what ten times the steps give.
+        by less than three times this share of the brightness, rms. With the spectral
+        preconditioner the default ends within about 0.1 dB of what ten times the steps give.
     spectral : bool
-        Precondition in the frequency domain as well: half of the steps, which saves time where a
-        step takes long, on whole modules.
+        Precondition in the frequency domain as well: half of the steps. Without, the learned prior
+        ends early, 1.4 dB from its minimiser on one small scene.
 
     Yields
     ------

@@ -146,8 +146,9 @@ def test_stopping_rule_is_right_against_ten_times_the_steps(
     )
     equations = equations_of(sequence, registration, model)
     problem = Problem(equations, weight, 0.5)
-    short = result_of(minimise(problem, first_guess(equations), 1000))
-    long = result_of(minimise(problem, first_guess(equations), 10 * short.iterations, 0.0))
+    start = first_guess(equations)
+    short = result_of(minimise(problem, start, 1000, spectral=True))
+    long = result_of(minimise(problem, start, 10 * short.iterations, 0.0, spectral=True))
     assert short.converged
     rms = [rms_inside(s.image, scene, result.grid) for s in (short, long)]
     assert abs(20 * np.log10(rms[0] / rms[1])) < 0.1
