@@ -88,7 +88,7 @@ def test_a_change_of_a_control_is_a_change_of_the_settings(forms: Any, qtbot: Qt
     model, made = forms
     made[Group.MODULE]["rows"].setValue(6)
     made[Group.LENS]["kappa"].slider.setValue(100)
-    made[Group.IMAGE]["prior"].setCurrentIndex(1)
+    made[Group.IMAGE]["prior"].setCurrentIndex(2)
     made[Group.IMAGE]["second_pass"].click()
     point = made[Group.MODULE]["module_at"]
     qtbot.keyClicks(point, "120, 80.5")

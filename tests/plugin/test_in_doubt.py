@@ -37,7 +37,13 @@ def blinded(inspection: Inspection, n: int) -> Inspection:
     """The same with n cells that can't be judged, one of them with marks, and one that is dark."""
     assert inspection.cracks is not None
     cells = [
-        replace(cell, unsure=i < n, crack_instances=int(i == 0), dark_area_share=0.0)
+        replace(
+            cell,
+            unsure=i < n,
+            weak_marks=False,
+            crack_instances=int(i == 0),
+            dark_area_share=0.0,
+        )
         for i, cell in enumerate(inspection.cracks.cells)
     ]
     if n < len(cells):
