@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.cracks import CrackMap
 from pv_inspect.cracks.wording import finger_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -23,14 +22,13 @@ class Facts:
     doubts : tuple of str
         Why it must not be relied on.
     cells : str
-        How many cells are suspected, clean, dark or can't be judged, and how many fingers are
-        interrupted; "" if that is not known.
+        How many cells are suspected, clean, dark or can't be judged; "" if that is not known.
     numbers : str
         Frames, kappa, magnification.
     warnings : tuple of str
         The rest of what is worth knowing. Frames that are not used are in the list of frames.
     details : str
-        What there is no room for, with units.
+        What there is no room for, with units, and how many fingers are interrupted.
     """
 
     doubts: tuple[str, ...] = ()
@@ -68,17 +66,15 @@ def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
         numbers += f", {made.grid.magnification:.2f}x"
         numbers = f"Earlier result: {numbers}" if is_earlier else numbers
         details = _details(made)
+    if cracks is not None and (fingers := finger_text(cracks.cells)):
+        details = f"{details} {fingers[0].upper()}{fingers[1:]}."
     return Facts(
         inspection.doubts,
-        "" if cracks is None else _cells_text(cracks),
+        "" if cracks is None else cracks.counts.text,
         numbers,
         _without_frames(inspection.warnings),
         details,
     )
-
-
-def _cells_text(cracks: CrackMap) -> str:
-    return "; ".join(filter(None, (cracks.counts.text, finger_text(cracks.cells))))
 
 
 def _details(made: Reconstruction) -> str:
