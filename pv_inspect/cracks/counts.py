@@ -123,26 +123,32 @@ class CellCounts:
 
         The absence of marks says nothing about these cells: whoever tells a count tells this first.
         """
+        return self._unjudged(f" ({self._reasons})" if self._reasons else _FROM_FRAMES)
+
+    def _unjudged(self, because: str) -> str:
         of_all = f" of {self.total} {'cell' if self.total == 1 else 'cells'}"
         parts = []
         if self.undecidable:
-            parts.append(f"{self.undecidable}{of_all} can't be judged{self._because}")
+            parts.append(f"{self.undecidable}{of_all} can't be judged{because}")
         if self.dark:
             is_dark = "is dark" if self.dark == 1 else "are dark"
             parts.append(f"{self.dark}{'' if parts else of_all} {is_dark} and not judged")
         return ", ".join(parts)
 
     @property
-    def _because(self) -> str:
-        """Why cells can't be judged, the reason with the most to say about the run first."""
+    def _reasons(self) -> str:
+        """Why cells can't be judged, the reason with the most to say about the run first.
+
+        "" where it is the frames alone.
+        """
         if not (self.unfamiliar or self.weak):
-            return " from these frames"
+            return ""
         reasons = {
             "unlike all that the detector has learnt": self.unfamiliar,
             "with marks too short or too faint for a crack": self.weak,
             "in which cracks would not show": self.undecidable - self.unfamiliar - self.weak,
         }
-        return f" ({', '.join(f'{n} {why}' for why, n in reasons.items() if n)})"
+        return ", ".join(f"{n} {why}" for why, n in reasons.items() if n)
 
     @property
     def text(self) -> str:
@@ -151,10 +157,17 @@ class CellCounts:
         Only where every cell was judged and none is suspected it says that no cracks are suspected,
         and that hair cracks can be missed all the same.
         """
+        return self._text(self.unjudged_text)
+
+    @property
+    def short_text(self) -> str:
+        """`text` without the reasons why cells can't be judged."""
+        return self._text(self._unjudged("" if self._reasons else _FROM_FRAMES))
+
+    def _text(self, unjudged: str) -> str:
         if not self.total:
             return "no cells"
         cells = "cell" if self.total == 1 else "cells"
-        unjudged = self.unjudged_text
         if unjudged and not self.judged:
             return f"{unjudged}: none suspected, none clean"
         if unjudged:
@@ -166,6 +179,7 @@ class CellCounts:
         return f"no cracks are suspected: {all_clean} (hair cracks can be missed)"
 
 
+_FROM_FRAMES = " from these frames"
 _RANK = {state: rank for rank, state in enumerate(CellState)}
 
 

@@ -97,3 +97,11 @@ def test_why_cells_cant_be_judged_is_told() -> None:
         "1 with marks too short or too faint for a crack, 1 in which cracks would not show); "
         "cracks suspected in 0, 1 clean"
     )
+
+
+def test_the_short_text_leaves_out_why_cells_are_open() -> None:
+    weak = CellCounts(1, 2, 2, 0, weak=1)
+    assert "too faint" in weak.text
+    assert weak.short_text == "2 of 5 cells can't be judged; cracks suspected in 1, 2 clean"
+    for told in (CellCounts(0, 3, 0, 0), CellCounts(1, 0, 2, 0)):
+        assert told.short_text == told.text

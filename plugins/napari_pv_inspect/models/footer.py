@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from napari_pv_inspect.models.workbench import WorkbenchModel
-from pv_inspect.cracks import CrackMap
 from pv_inspect.cracks.wording import finger_text
 from pv_inspect.inspection.inspection import Inspection
 from pv_inspect.reconstruction.reconstruction import Reconstruction
@@ -69,20 +67,14 @@ def _of_inspection(inspection: Inspection, is_earlier: bool) -> Facts:
         numbers = f"Earlier result: {numbers}" if is_earlier else numbers
         details = _details(made)
     if cracks is not None and (fingers := finger_text(cracks.cells)):
-        details = f"{details} {fingers[0].upper()}{fingers[1:]}."
+        details = f"{details} {capitalised(fingers)}."
     return Facts(
         inspection.doubts,
-        "" if cracks is None else _cells_text(cracks),
+        "" if cracks is None else cracks.counts.short_text,
         numbers,
         _without_frames(inspection.warnings),
         details,
     )
-
-
-def _cells_text(cracks: CrackMap) -> str:
-    """The counts in one line of the dock; why cells can't be judged, the gallery says."""
-    text = cracks.counts.text
-    return re.sub(r" \([^()]*\)", "", text) if cracks.counts.unjudged_text else text
 
 
 def _details(made: Reconstruction) -> str:
