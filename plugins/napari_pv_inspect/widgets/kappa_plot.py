@@ -31,7 +31,7 @@ class CurveView(QWidget):
 
     def sizeHint(self) -> QSize:  # noqa: N802 (Qt's name)
         """Small: it stands below the slider."""
-        return QSize(220, 84)
+        return QSize(220, 68)
 
     @property
     def kappa(self) -> float | None:
