@@ -175,11 +175,8 @@ def probability_of(
     image: Image, result: Inspection, detector: CrackDetector
 ) -> tuple[Image, float]:
     """Crack probability of an image on the grid of a result, and the threshold."""
-    grid, layout = result.need(Reconstruction).grid, result.layout
-    cells = [
-        [image[grid.cell_slices(i, j)] for j in range(layout.cols)] for i in range(layout.rows)
-    ]
-    found = result_of(read_cracks(CellTiles(np.array(cells), grid), Settings(), detector))
+    grid = result.need(Reconstruction).grid
+    found = result_of(read_cracks(CellTiles(image, grid), Settings(), detector))
     return found.probability, found.threshold
 
 

@@ -151,20 +151,6 @@ def flat_psnr(image: Image, truth: NDArray[np.float64], grid: HrGrid) -> float:
     return float(10 * np.log10(np.percentile(true, 99.9) ** 2 / np.mean(error**2)))
 
 
-def tiles_of(
-    image: Image, grid: HrGrid, support: Image | None = None, sight: CellSight | None = None
-) -> CellTiles:
-    """Cut an image on a grid into its cells."""
-    rows, cols = grid.layout.rows, grid.layout.cols
-
-    def cut(whole: Image) -> Image:
-        return np.array(
-            [[whole[grid.cell_slices(i, j)] for j in range(cols)] for i in range(rows)], np.float32
-        )
-
-    return CellTiles(cut(image), grid, None if support is None else cut(support), sight)
-
-
 def length_of_cracks(mask: Mask) -> float:
     """Length of the labelled cracks of a cell along their centre lines, px."""
     return sum(map(length_of, branches(mask))) if mask.any() else 0.0
@@ -181,7 +167,7 @@ def looked_at(
     """Score an image on a grid."""
     truth = on_grid(scene.radiance, scene, grid)
     mask = on_grid(scene.cracks, scene, grid) >= 0.5
-    found = result_of(read_cracks(tiles_of(image, grid, support, sight), Settings()))
+    found = result_of(read_cracks(CellTiles(image, grid, support, sight), Settings()))
     true = [length_of_cracks(mask[grid.cell_slices(c.row, c.col)]) for c in found.cells]
     clean = [c for c, length in zip(found.cells, true, strict=True) if not length]
     least = _LEAST_CRACK * grid.pixels_per_unit
