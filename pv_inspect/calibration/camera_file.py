@@ -15,6 +15,7 @@ from pv_inspect.calibration.opencv_text import xml_entries, yaml_entries
 from pv_inspect.common.records import json_from, read_text
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
+from pv_inspect.storage.folders import replace_file
 
 __all__ = ["KnownCamera", "read_camera", "write_camera"]
 
@@ -91,7 +92,7 @@ def read_camera(path: Path, image_shape: tuple[int, int]) -> KnownCamera:
 
 
 def write_camera(path: Path, camera: Camera, image_shape: tuple[int, int]) -> None:
-    """Write a camera as OpenCV does, for `read_camera` and for other programs.
+    """Write a camera as OpenCV does, for `read_camera` and for other programs; whole or not at all.
 
     Parameters
     ----------
@@ -114,15 +115,7 @@ def write_camera(path: Path, camera: Camera, image_shape: tuple[int, int]) -> No
     storage.write("camera_matrix", np.asarray(camera.K, np.float64))
     storage.write("distortion_coefficients", np.array([[camera.kappa, 0.0, 0.0, 0.0, 0.0]]))
     text = storage.releaseAndGetString()
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InspectionError(
-            f"The camera can't be written to {path} ({error.strerror}): choose another folder."
-        ) from None
+    replace_file(path, text.encode())
 
 
 def _radial(path: Path, distortion: NDArray[np.float64] | None) -> float | None:

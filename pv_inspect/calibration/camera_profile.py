@@ -13,6 +13,7 @@ from pv_inspect.calibration.focal_length import conventional_focal_length
 from pv_inspect.common.records import Number, Record, StoredRecord, Text, Whole, checked
 from pv_inspect.errors import InspectionError
 from pv_inspect.settings.toml import read_toml
+from pv_inspect.storage.folders import replace_file
 
 __all__ = ["CameraProfile", "Known", "LensProfile", "PsfProfile", "read_profile", "write_profile"]
 
@@ -137,16 +138,7 @@ def write_profile(path: Path, profile: CameraProfile) -> None:
     lines += [_line(name, value) for name, value in record.items() if name not in tables]
     for name, table in tables.items():
         lines += ["", f"[{name}]", *(_line(key, value) for key, value in table.items())]
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        beside.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise InspectionError(
-            f"The camera profile can't be written to {path} ({error.strerror}): choose another "
-            "place."
-        ) from None
+    replace_file(path, ("\n".join(lines) + "\n").encode())
 
 
 def _line(name: str, value: Any) -> str:

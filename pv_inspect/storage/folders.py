@@ -267,6 +267,8 @@ def replace_file(path: Path, content: bytes) -> None:
     InspectionError
         If it can't be written; then an earlier one is as it was.
     """
+    if path.is_dir():
+        raise InspectionError(f"{shown(path)} is a folder: give the name of a file.")
     partial = own(path, PARTIAL)
     try:
         _write_file(partial, content)
@@ -276,11 +278,14 @@ def replace_file(path: Path, content: bytes) -> None:
             partial.unlink()
         if not isinstance(error, OSError):
             raise
-        reason = "the disk is full" if error.errno in FULL else error.strerror or str(error)
-        raise InspectionError(
-            f"{shown(path)} can't be written: {reason}; free some space or allow writing there, "
-            "and try again."
-        ) from None
+        reason = error.strerror or str(error)
+        remedy = "allow writing there, and try again"
+        if error.errno in FULL:
+            reason, remedy = "the disk is full", "free some space, and try again"
+        elif error.errno in (errno.ENOENT, errno.ENOTDIR):
+            reason = f"there is no folder {shown(path.parent)}"
+            remedy = "make it first, or give another place"
+        raise InspectionError(f"{shown(path)} can't be written: {reason}; {remedy}.") from None
     _sync_folder(path.parent)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from pathlib import Path
 
 import numpy as np
@@ -93,8 +95,26 @@ def test_a_profile_of_another_size_or_place_is_refused(tmp_path: Path) -> None:
     write_profile(path, PROFILE)
     with pytest.raises(InspectionError, match="camera of 640 x 512 px, but the frames have 320"):
         read_profile(path, (256, 320))
-    with pytest.raises(InspectionError, match="can't be written to"):
+
+
+def test_a_profile_is_written_as_a_whole_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InspectionError, match=r"there is no folder .*missing"):
         write_profile(tmp_path / "missing" / "camera.toml", PROFILE)
+    with pytest.raises(InspectionError, match="is a folder"):
+        write_profile(tmp_path, PROFILE)
+    path = tmp_path / "camera.toml"
+    write_profile(path, PROFILE)
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InspectionError, match="the disk is full"):
+        write_profile(path, PROFILE.model_copy(update={"results": 11}))
+    assert read_profile(path) == PROFILE
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def _fit(n_frames: int, noise_px: float, known: CameraProfile | None) -> tuple[float, float]:
