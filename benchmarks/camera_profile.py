@@ -24,7 +24,8 @@ from psf_truth import psnr
 
 from pv_inspect.calibration.camera_profile import write_profile
 from pv_inspect.inspection.inspection import Inspection
-from pv_inspect.pipeline import inspect
+from pv_inspect.pipeline import inspect, inspect_steps
+from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.camera_evidence import pooled_profile
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
@@ -37,14 +38,20 @@ OF_THE_CAMERA = (
 )  # fmt: skip
 
 
+PLAIN = Settings(magnification=2.0)
+
+
 def sequence_of(camera: SimulationSettings, seed: int) -> SimulationSettings:
     """Draw a module and a flight for a camera; about one camera of three moves by pixels."""
     return replace(drawn(seed), **{name: getattr(camera, name) for name in OF_THE_CAMERA})
 
 
-def run(folder: Path, settings: Settings) -> Inspection:
-    """Run one sequence."""
-    return inspect(FrameSequence.open(folder), settings, progress=False)
+def image_with(settings: Settings, start: Inspection) -> Reconstruction:
+    """Return the module image that other settings make, as far as they change it."""
+    for step in inspect_steps(start.frames, settings, start):
+        if isinstance(step.partial, Reconstruction):
+            return step.partial
+    raise SystemExit("no image")
 
 
 def main() -> None:
@@ -67,15 +74,16 @@ def camera(number: int, count: int, images: bool, scratch: Path) -> None:
     true = drawn(1000 + number)
     sigma = true.psf_sigma_px
     print(f"camera {number}: sigma {sigma:.3f} {true.psf_shape}, kappa {true.kappa:+.4f}")
-    results = []
+    results, runs = [], []
     for k in range(count):
         sequence, result = scratch / f"sequence_{k}", scratch / f"result_{k}"
         settings = sequence_of(true, 10_000 + 100 * number + k)
         with reserve_sequence(sequence):
             write_sequence(simulated(settings), sequence)
-        made = run(sequence, Settings(magnification=2.0))
+        made = inspect(FrameSequence.open(sequence), PLAIN, progress=False)
         write_result(made, result)
         results.append(result)
+        runs.append(made)
         found = made.reconstruction
         assert found is not None
         assert found.psf is not None
@@ -109,26 +117,25 @@ def camera(number: int, count: int, images: bool, scratch: Path) -> None:
     for note in profile.notes:
         print(f"  {note}")
     if images:
-        losses(true, scratch, results)
+        losses(true, scratch, results, runs)
 
 
-def losses(true: SimulationSettings, scratch: Path, results: list[Path]) -> None:
+def losses(
+    true: SimulationSettings, scratch: Path, results: list[Path], runs: list[Inspection]
+) -> None:
     """Print what every image loses against the true blur, without and with a profile."""
     lost = []
-    for k, result in enumerate(results):
+    for k, (result, plain) in enumerate(zip(results, runs, strict=True)):
         sequence = scratch / f"sequence_{k}"
         path = scratch / "camera.toml"
         write_profile(path, pooled_profile([other for other in results if other != result]))
-        values = []
-        for settings in (
-            Settings(psf_sigma_lr_px=true.psf_sigma_px),
-            Settings(),
-            Settings(camera_profile=path),
-        ):
-            made = run(sequence, settings).reconstruction
-            assert made is not None
-            truth = json.loads((sequence / "truth" / "truth.json").read_text())
-            values.append(psnr(sequence, truth, made))
+        images = (
+            image_with(PLAIN.changed(psf_sigma_lr_px=true.psf_sigma_px), plain),
+            plain.need(Reconstruction),
+            image_with(PLAIN.changed(camera_profile=path), plain),
+        )
+        truth = json.loads((sequence / "truth" / "truth.json").read_text())
+        values = [psnr(sequence, truth, image) for image in images]
         lost.append([values[0] - values[1], values[0] - values[2]])
         print(
             f"  {k}: loses {lost[-1][0]:+.2f} dB, with the profile {lost[-1][1]:+.2f}", flush=True
