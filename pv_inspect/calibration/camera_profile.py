@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from math import exp
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -92,6 +93,25 @@ class CameraProfile(StoredRecord):
     def sigma(self) -> Known | None:
         """Standard deviation of the optical blur, LR px; None if it is not known."""
         return None if self.psf is None else Known(self.psf.sigma_lr_px, self.psf.error_lr_px)
+
+    @property
+    def described(self) -> tuple[str, ...]:
+        """What it says, a line each, for a person."""
+        lines = []
+        if self.lens is not None:
+            lines.append(
+                f"kappa {self.lens.kappa:+.4f} \u00b1 {self.lens.kappa_error:.4f} for a focal "
+                f"length of {self.lens.focal_length_px:g} px"
+            )
+        if self.psf is not None:
+            shape = "" if self.psf.shape == "unknown" else f", {self.psf.shape}"
+            lines.append(
+                f"blur {self.psf.sigma_lr_px:.3f} \u00b1 {self.psf.error_lr_px:.3f} LR px{shape}"
+            )
+        if self.vignetting is not None:
+            fall = 100 * (1 - exp(sum(self.vignetting.coefficients)))
+            lines.append(f"corners darker by {fall:.1f} %")
+        return tuple(lines)
 
 
 def read_profile(path: Path, image_shape: tuple[int, int] | None = None) -> CameraProfile:

@@ -46,18 +46,7 @@ def calibrate(
             return
         n = profile.results
         typer.echo(f"Camera profile of {n} result{'s' if n > 1 else ''}: {printable(str(out))}")
-        if profile.lens is not None:
-            lens = profile.lens
-            typer.echo(
-                f"  kappa {lens.kappa:+.4f} \u00b1 {lens.kappa_error:.4f} for a focal length of "
-                f"{lens.focal_length_px:g} px"
-            )
-        if profile.psf is not None:
-            psf = profile.psf
-            shape = "" if psf.shape == "unknown" else f", {psf.shape}"
-            typer.echo(f"  blur {psf.sigma_lr_px:.3f} \u00b1 {psf.error_lr_px:.3f} LR px{shape}")
-        if profile.vignetting is not None:
-            fall = 100 * (1 - 2.718281828 ** sum(profile.vignetting.coefficients))
-            typer.echo(f"  corners darker by {fall:.1f} %")
+        for line in profile.described:
+            typer.echo(f"  {line}")
         for note in profile.notes:
             typer.echo(f"  Note: {printable(note)}.")

@@ -6,6 +6,8 @@ import re
 from contextlib import AbstractContextManager
 from pathlib import Path, PurePath
 
+from pv_inspect.errors import InspectionError
+from pv_inspect.image_files.natural_order import natural_key
 from pv_inspect.storage.folders import Reservation, check_replaceable, reserved
 
 __all__ = [
@@ -14,6 +16,7 @@ __all__ = [
     "check_writable",
     "is_result_file",
     "reserve_result",
+    "results_in",
     "tile_name",
 ]
 
@@ -38,6 +41,30 @@ _PATIENCE_S = 5.0
 def tile_name(row: int, col: int) -> str:
     """File name of the tile of a cell; rows and columns are counted from 1, as people do."""
     return f"r{row + 1:02d}_c{col + 1:02d}.tif"
+
+
+def results_in(folder: Path) -> tuple[Path, ...]:
+    """Return the result folders that a folder is or directly holds, in natural order.
+
+    Raises
+    ------
+    InspectionError
+        If there is none, or the folder can't be read.
+    """
+    if (folder / RESULT_JSON).is_file():
+        return (folder,)
+    try:
+        found = [inside for inside in folder.iterdir() if (inside / RESULT_JSON).is_file()]
+    except OSError as error:
+        raise InspectionError(
+            f"{folder} can't be read ({error.strerror}): give a result folder of pv-inspect run."
+        ) from None
+    if not found:
+        raise InspectionError(
+            f"{folder} is no result folder and holds none ({RESULT_JSON} is missing): give the "
+            "folder that pv-inspect run wrote, or one that holds such folders."
+        )
+    return tuple(sorted(found, key=lambda inside: natural_key(inside.name)))
 
 
 def check_writable(out: Path) -> None:

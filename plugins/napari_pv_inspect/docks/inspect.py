@@ -80,7 +80,12 @@ class InspectDock(QWidget):
         self.reading = FormBox(workbench.model, Group.FRAMES)
         self.module = ModuleBox(workbench.model)
         self.points = PointsBox(workbench)
-        self.lens = LensBox(workbench.model, workbench.live, workbench.kappa_curve)
+        self.lens = LensBox(
+            workbench.model,
+            workbench.live,
+            workbench.kappa_curve,
+            lambda: workbench.session.folder,
+        )
         self.image = ImageBox(workbench.model, workbench.live_cell)
         self.cracks = CracksBox(workbench.model)
         self.verdict = ReviewBox(workbench.model, workbench.review, workbench.history)
@@ -137,6 +142,7 @@ class InspectDock(QWidget):
         self.steps.wanted.connect(self._on_action)
         self.steps.step_clicked.connect(self._on_step)
         self.pages.currentChanged.connect(self._on_page)
+        workbench.closing.connect(self.lens.close_maker)
         listen(workbench.session.page_restored, self.show_page)
         listen(workbench.model.result_opened, self._on_result)
         listen(workbench.model.sequence_changed, self._on_sequence)
