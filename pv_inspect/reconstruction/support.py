@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -48,9 +49,9 @@ FINEST = Detail((0.55, 0.8), 1.5)
 """Just beyond what one frame resolves."""
 
 _ITERATIONS = 40
-# A round ends when the mean support changes by less than this in a step.
-_CHANGE = 1e-3
-_ROUNDS = 3
+# A round ends when the mean support changes by less than this in a step. L moves most after the
+# first rounds: what they solve to more than this is out of date.
+_CHANGES = (1e-2, 1e-2, 1e-3)
 _TILE = 512
 _SEED = 7
 
@@ -130,10 +131,21 @@ def support_of(
 
     diagonal = equations.diagonal
     # Nothing arrives where no frame looks: the first round begins with nothing.
-    u = np.zeros_like(z)
-    for done in range(_ROUNDS):
-        yield done / _ROUNDS
-        u = _answer(equations, prior_with(u if done else z), diagonal, z, u)
+    u, residual = np.zeros_like(z), np.asarray(equations.apply(z), np.float32)
+    frequencies: Spectral | None = None
+    for done, change in enumerate(_CHANGES):
+        yield done / len(_CHANGES)
+        prior = prior_with(u if done else z)
+        both = diagonal + prior.diagonal
+        scale = (1.0 / np.maximum(both, 1e-9 * float(both.max()))).astype(np.float32)
+        root = np.sqrt(scale)
+        if frequencies is None:
+            frequencies = Spectral.of(partial(_whole, equations, prior), root)
+        first = _answer(
+            equations, prior, partial(frequencies.apply, root=root), z, u, residual, change
+        )
+        if done and first < _CHANGES[-1]:
+            break
     sigma = detail.window_lr_px * magnification
     answer = cv2.GaussianBlur(u * z, (0, 0), sigma)
     power = cv2.GaussianBlur(z * z, (0, 0), sigma)
@@ -142,39 +154,43 @@ def support_of(
     return np.asarray(share, np.float32)
 
 
+def _whole(equations: NormalEquations, prior: Quadratic, v: Image) -> Image:
+    return np.asarray(equations.apply(v) + prior.apply(v), np.float32)
+
+
 def _answer(
     equations: NormalEquations,
     prior: Quadratic,
-    diagonal: NDArray[np.floating],
+    precondition: Callable[[Image], Image],
     z: Image,
-    start: Image,
-) -> Image:
-    """R z, from what it was in the round before; the diagonal is that of the equations."""
-    both = diagonal + prior.diagonal
-    scale = (1.0 / np.maximum(both, 1e-9 * float(both.max()))).astype(np.float32)
-    root = np.sqrt(scale)
+    u: Image,
+    residual: Image,
+    change: float,
+) -> float:
+    """Take u to R z, and with it ``A (z - u)``, the residual of the data.
 
-    def whole(v: NDArray[np.floating]) -> NDArray[np.floating]:
-        return equations.apply(v) + prior.apply(v)
-
-    spectral = Spectral.of(whole, root)
-    u = start.copy()
-    r = np.asarray(equations.apply(z - u) - prior.apply(u), np.float32)
-    p = np.asarray(spectral.apply(r, root), np.float32)
-    rz, power = dot(r, p), dot(z, z)
-    for _ in range(_ITERATIONS):
-        full = np.asarray(whole(p), np.float32)
+    Returns by how much the first step changed the mean support.
+    """
+    r = residual - np.asarray(prior.apply(u), np.float32)
+    p = precondition(r)
+    rz, power, first = dot(r, p), dot(z, z), 0.0
+    for done in range(_ITERATIONS):
+        data = np.asarray(equations.apply(p), np.float32)
+        full = data + np.asarray(prior.apply(p), np.float32)
         curvature = dot(p, full)
         if rz <= 0.0 or curvature <= 0.0:
             break
         length = rz / curvature
         u += np.float32(length) * p
-        if abs(length * dot(z, p)) < _CHANGE * power:
+        residual -= np.float32(length) * data
+        changed = abs(length * dot(z, p)) / power
+        first = first if done else changed
+        if changed < change:
             break
         r -= np.float32(length) * full
-        next_p = spectral.apply(r, root)
+        next_p = precondition(r)
         new = dot(r, next_p)
         p *= np.float32(new / rz)
         p += next_p
         rz = new
-    return u
+    return first
