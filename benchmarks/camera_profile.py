@@ -1,6 +1,7 @@
 """A camera profile pooled from simulated sequences of one camera, against the truth.
 
     python benchmarks/camera_profile.py [--cameras 1] [--sequences 10] [--first 0] [--images]
+        [--keep FOLDER]
 
 Each camera is drawn by `psf_draws.py` (its blur, lens, sensor and vignetting) and photographs as
 many modules: layout, scene, flight and motion differ. Every sequence is run to its result folder
@@ -63,10 +64,12 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="number of the first camera")
     parser.add_argument("--images", action="store_true")
+    parser.add_argument("--keep", type=Path, help="new folder that sequences and results stay in")
     args = parser.parse_args()
     for number in range(args.first, args.first + args.cameras):
         with tempfile.TemporaryDirectory() as scratch:
-            camera(number, args.sequences, args.images, Path(scratch))
+            place = Path(scratch) if args.keep is None else args.keep / f"camera_{number}"
+            camera(number, args.sequences, args.images, place)
 
 
 def camera(number: int, count: int, images: bool, scratch: Path) -> None:

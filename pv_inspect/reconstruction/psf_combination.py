@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from pv_inspect.reconstruction.border_blur import BorderBlur
-from pv_inspect.reconstruction.psf_estimate import PsfEstimate
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate, PsfMeasurements
 from pv_inspect.reconstruction.psf_estimation import (
     SEARCHED_LR_PX,
     TYPICAL_SIGMA_LR_PX,
     TYPICAL_SPREAD_LR_PX,
 )
 
-__all__ = ["TYPICAL", "Evidence", "combined", "possible"]
+__all__ = ["TYPICAL", "Evidence", "combined", "combined_over_sequences", "possible"]
 
 Array = NDArray[np.float64]
 
@@ -88,20 +88,40 @@ def combined(
     names += [e.name for e in further]
     if not names:
         return TYPICAL
+    measured = PsfMeasurements(None if borders is None else (borders.sigma, borders.error), pixels)
     if names == ["pixels"] and pixels is not None:
-        return PsfEstimate(pixels, _PIXELS_ALONE * pixels, "pixels")
-    likely = np.zeros(len(_SIGMAS))
-    if borders is not None:
-        likely += _by_borders(borders, lr_px_per_unit)
-    if pixels is not None:
-        away = np.log(_SIGMAS / pixels)
-        good = np.log(_PIXELS_GOOD) + _normal(away, _PIXELS_ERROR)
-        likely += np.logaddexp(good, np.log(1.0 - _PIXELS_GOOD) + _normal(away, _PIXELS_WRONG))
+        return PsfEstimate(pixels, _PIXELS_ALONE * pixels, "pixels", measured=measured)
+    likely = _by_measurements(measured, lr_px_per_unit)
     for one in further:
         likely += _normal(_SIGMAS - one.sigma, one.error)
     sigma, error = _most_likely(likely)
     shape = "unknown" if borders is None else borders.shape
-    return PsfEstimate(sigma, error, " and ".join(names), shape)
+    return PsfEstimate(sigma, error, " and ".join(names), shape, measured)
+
+
+def combined_over_sequences(
+    told: Sequence[tuple[PsfEstimate, float]],
+) -> tuple[float, float]:
+    """Return the most likely sigma of one camera and its standard deviation, LR px.
+
+    Parameters
+    ----------
+    told : sequence of (PsfEstimate, float)
+        Of sequences of the camera, each with its LR px per cell width; at least one.
+
+    Notes
+    -----
+    The logarithms of the likelihoods are added, each with the softness of its own scene: how soft
+    the one is says nothing of the other, but no border is sharper than the optics show it. A mean
+    of the single estimates would take over what each assumes of its scene.
+    """
+    likely = np.zeros(len(_SIGMAS))
+    for one, lr_px_per_unit in told:
+        if one.measured is None:
+            likely += _normal(_SIGMAS - one.sigma, one.error)
+        else:
+            likely += _by_measurements(one.measured, lr_px_per_unit)
+    return _most_likely(likely)
 
 
 def possible(borders: BorderBlur, lr_px_per_unit: float) -> tuple[float, float]:
@@ -117,13 +137,25 @@ def possible(borders: BorderBlur, lr_px_per_unit: float) -> tuple[float, float]:
     return max(least - borders.error, low), min(borders.sigma + borders.error, high)
 
 
-def _by_borders(borders: BorderBlur, lr_px_per_unit: float) -> Array:
+def _by_measurements(measured: PsfMeasurements, lr_px_per_unit: float) -> Array:
+    """Log likelihood of every sigma, from one sequence."""
+    likely = np.zeros(len(_SIGMAS))
+    if measured.borders is not None:
+        likely += _by_borders(*measured.borders, lr_px_per_unit)
+    if measured.pixels is not None:
+        away = np.log(_SIGMAS / measured.pixels)
+        good = np.log(_PIXELS_GOOD) + _normal(away, _PIXELS_ERROR)
+        likely += np.logaddexp(good, np.log(1.0 - _PIXELS_GOOD) + _normal(away, _PIXELS_WRONG))
+    return likely
+
+
+def _by_borders(width: float, error: float, lr_px_per_unit: float) -> Array:
     """Log likelihood of every sigma, the mean over how soft the scene may be."""
     soft = _SOFTEST * _SOFTNESS
     sharp = soft < _SHARP
     prior = (1.0 - _SHARP_SHARE) / len(soft) + _SHARP_SHARE * sharp / sharp.sum()
     together = np.hypot(_SIGMAS[:, None], soft * lr_px_per_unit)
-    each = _normal(together - borders.sigma, borders.error)
+    each = _normal(together - width, error)
     return np.asarray(logsumexp(each, axis=1, b=prior), np.float64)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["PsfEstimate", "PsfShape"]
+__all__ = ["PsfEstimate", "PsfMeasurements", "PsfShape"]
 
 
 PsfShape = Literal["gaussian", "disc", "unknown"]
@@ -15,6 +15,23 @@ _SOURCES = {
     "pixels": "held-out pixels",
     "camera profile": "the camera profile",
 }
+
+
+@dataclass(frozen=True)
+class PsfMeasurements:
+    """What one sequence shows of the blur, before anything is assumed of its scene.
+
+    Parameters
+    ----------
+    borders : (float, float) or None
+        Width of the borders of cells, softness of the scene included, and its standard deviation,
+        LR px.
+    pixels : float or None
+        Sigma that predicts held-out pixels best, LR px.
+    """
+
+    borders: tuple[float, float] | None = None
+    pixels: float | None = None
 
 
 @dataclass(frozen=True)
@@ -33,12 +50,15 @@ class PsfEstimate:
         "given" by the user.
     shape : {"gaussian", "disc", "unknown"}
         What the borders say of the shape. The observation model is Gaussian.
+    measured : PsfMeasurements or None
+        What it was made of; None if that is not known.
     """
 
     sigma: float
     error: float
     evidence: str
     shape: PsfShape = "unknown"
+    measured: PsfMeasurements | None = None
 
     @property
     def words(self) -> str:

@@ -20,6 +20,8 @@ from pv_inspect.calibration.focal_length import conventional_focal_length
 from pv_inspect.calibration.pooling import Pooled, pooled
 from pv_inspect.common.records import checked, json_from, read_text
 from pv_inspect.errors import InspectionError
+from pv_inspect.reconstruction.psf_combination import combined_over_sequences
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.results.folder import RESULT_JSON
 from pv_inspect.results.records import ResultRecord, settings_of
 from pv_inspect.settings import Settings
@@ -173,15 +175,23 @@ def _lens(
 
 
 def _psf(found: Sequence[_Evidence], notes: list[str]) -> PsfProfile | None:
-    def sigma(one: _Evidence) -> tuple[float, float] | None:
+    told: dict[str, tuple[PsfEstimate, float]] = {}
+    for one in found:
         value, says = one.record.psf_sigma_lr_px, one.record.psf
-        if value is None or says is None or says.evidence in ("given", "typical"):
-            return None
-        return value, says.error_lr_px
+        if value and says and says.error_lr_px > 0 and says.evidence not in ("given", "typical"):
+            per_unit = one.record.pixels_per_cell[0] / one.record.magnification
+            told[one.name] = says.estimate(value), per_unit
+
+    def sigma(one: _Evidence) -> tuple[float, float] | None:
+        return (told[one.name][0].sigma, told[one.name][0].error) if one.name in told else None
 
     pool = _pool("the blur [LR px]", found, sigma, notes)
     if pool is None:
         return None
+    values = list(told.values())
+    likely, error = combined_over_sequences(
+        [values[k] for k in range(len(values)) if k not in pool.outliers]
+    )
     shapes = Counter(
         one.record.psf.shape
         for one in found
@@ -189,10 +199,9 @@ def _psf(found: Sequence[_Evidence], notes: list[str]) -> PsfProfile | None:
     )
     most = shapes.most_common(1)
     sure = bool(most) and most[0][1] >= SURE_SHAPE * shapes.total()
-    error = float(np.hypot(pool.error, SHARED_PSF_ERROR * pool.value))
     return PsfProfile(
-        sigma_lr_px=pool.value,
-        error_lr_px=error,
+        sigma_lr_px=likely,
+        error_lr_px=float(np.hypot(error, SHARED_PSF_ERROR * likely)),
         shape=most[0][0] if sure else "unknown",
     )
 

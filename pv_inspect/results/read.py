@@ -138,7 +138,7 @@ def _psf(record: ResultRecord) -> PsfEstimate | None:
     sigma, says = record.psf_sigma_lr_px, record.psf
     if says is None or sigma is None:
         return None
-    return PsfEstimate(sigma, says.error_lr_px, says.evidence, says.shape)
+    return says.estimate(sigma)
 
 
 def _registration(layout: ModuleLayout, camera: Camera, frames: list[FrameRecord]) -> Registration:

@@ -11,6 +11,7 @@ from pv_inspect.calibration.focal_length import focal_length_source
 from pv_inspect.common.versions import versions
 from pv_inspect.cracks import CLASS_RULE, CrackMap
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate, PsfMeasurements
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.registration.registration import Registration
 from pv_inspect.results.records import ResultRecord
@@ -62,9 +63,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         "settings": inspection.settings.model_dump(mode="json"),
         "prior_weight": reconstruction.prior_weight,
         "psf_sigma_lr_px": reconstruction.psf_sigma_lr_px,
-        "psf": None
-        if psf is None
-        else {"error_lr_px": psf.error, "evidence": psf.evidence, "shape": psf.shape},
+        "psf": None if psf is None else _psf(psf),
         "solver": {
             "objective": reconstruction.objective,
             "iterations": reconstruction.iterations,
@@ -91,6 +90,17 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
     }
     plain: dict[str, Any] = plain_types(record)
     return plain
+
+
+def _psf(psf: PsfEstimate) -> dict[str, Any]:
+    measured = psf.measured or PsfMeasurements()
+    return {
+        "error_lr_px": psf.error,
+        "evidence": psf.evidence,
+        "shape": psf.shape,
+        "borders_lr_px": measured.borders,
+        "pixels_lr_px": measured.pixels,
+    }
 
 
 def _camera_errors(inspection: Inspection) -> dict[str, float]:

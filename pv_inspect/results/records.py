@@ -22,7 +22,7 @@ from pv_inspect.common.records import (
     Whole,
 )
 from pv_inspect.cracks import OperatingPoint
-from pv_inspect.reconstruction.psf_estimate import PsfShape
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate, PsfMeasurements, PsfShape
 from pv_inspect.settings import Settings
 
 __all__ = ["GeometryRecord", "ResultRecord", "settings_of"]
@@ -141,6 +141,14 @@ class PsfRecord(Record):
     error_lr_px: Annotated[float, Field(strict=True, ge=0, le=100)]
     evidence: Text
     shape: PsfShape = "unknown"
+    borders_lr_px: tuple[_Above0, _Above0] | None = None
+    pixels_lr_px: _Above0 | None = None
+
+    def estimate(self, sigma_lr_px: float) -> PsfEstimate:
+        """Return what it stands for, with the sigma beside it."""
+        known = self.borders_lr_px is not None or self.pixels_lr_px is not None
+        measured = PsfMeasurements(self.borders_lr_px, self.pixels_lr_px) if known else None
+        return PsfEstimate(sigma_lr_px, self.error_lr_px, self.evidence, self.shape, measured)
 
 
 def settings_of(stored: dict[str, Any], file_format: int) -> Settings:

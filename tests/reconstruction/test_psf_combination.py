@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from pv_inspect.reconstruction.border_blur import BorderBlur
-from pv_inspect.reconstruction.psf_combination import TYPICAL, Evidence, combined, possible
-from pv_inspect.reconstruction.psf_estimate import PsfEstimate
+from pv_inspect.reconstruction.psf_combination import (
+    TYPICAL,
+    Evidence,
+    combined,
+    combined_over_sequences,
+    possible,
+)
+from pv_inspect.reconstruction.psf_estimate import PsfEstimate, PsfMeasurements
 
 SHARP = BorderBlur(0.5, 0.01, "disc", 50.0)
 
@@ -79,3 +85,29 @@ def test_words_say_how_well_it_is_known() -> None:
     both = PsfEstimate(0.5, 0.013, "borders and pixels").words
     assert both.endswith("from the borders of the cells and held-out pixels")
     assert PsfEstimate(0.5, 0.0, "given").words == ", given"
+
+
+def test_one_camera_over_sequences_is_as_sharp_as_its_sharpest_borders_show() -> None:
+    # Optics of 0.4: two scenes are sharp, three as soft as 0.2 LR px.
+    widths = [0.4, 0.405, *3 * [float(np.hypot(0.4, 0.2))]]
+    told = [(combined(replace(SHARP, sigma=width), None, 50.0), 50.0) for width in widths]
+    sigma, error = combined_over_sequences(told)
+    assert sigma == pytest.approx(0.4, abs=0.01)
+    assert error < 0.01
+    # The mean of what each would say alone is wider than the optics.
+    assert np.mean([psf.sigma for psf, _ in told]) > 0.42
+
+
+def test_held_out_pixels_that_no_other_sequence_confirms_are_not_believed() -> None:
+    wide = replace(SHARP, error=0.04)
+    alone = combined(wide, 0.42, 50.0)
+    assert alone.sigma < 0.43
+    others = [combined(SHARP, None, 50.0)] * 3
+    sigma, _ = combined_over_sequences([(psf, 50.0) for psf in (alone, *others)])
+    assert sigma == pytest.approx(0.5, abs=0.01)
+
+
+def test_an_estimate_of_which_no_more_is_known_counts_by_its_error() -> None:
+    told = [(PsfEstimate(0.5, 0.01, "borders"), 50.0), (PsfEstimate(0.52, 0.01, "borders"), 50.0)]
+    assert combined_over_sequences(told) == pytest.approx((0.51, 0.01 / 2**0.5), rel=1e-3)
+    assert combined(SHARP, 0.45, 50.0).measured == PsfMeasurements((0.5, 0.01), 0.45)
