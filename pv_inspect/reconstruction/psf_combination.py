@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
+from scipy.stats import beta
 
 from pv_inspect.reconstruction.border_blur import BorderBlur
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate, PsfMeasurements
@@ -38,6 +39,8 @@ _PIXELS_GOOD, _PIXELS_ERROR, _PIXELS_WRONG = 0.3, 0.01, 0.3
 _PIXELS_ALONE = 0.22
 # Candidates: sigma [LR px] and softness [share of the softest].
 _STEP = 0.002
+# Shares of sharp scenes, and of good pixels, among the sequences of one camera: candidates.
+_SHARES = (np.arange(20) + 0.5) / 20
 _SIGMAS = np.arange(0.06, 2.0, _STEP)
 _SOFTNESS = (np.arange(44) + 0.5) / 44
 
@@ -102,7 +105,7 @@ def combined(
 def combined_over_sequences(
     told: Sequence[tuple[PsfEstimate, float]],
 ) -> tuple[float, float]:
-    """Return the most likely sigma of one camera and its standard deviation, LR px.
+    """Return mean and standard deviation of what sigma of one camera may be, LR px.
 
     Parameters
     ----------
@@ -111,17 +114,34 @@ def combined_over_sequences(
 
     Notes
     -----
-    The logarithms of the likelihoods are added, each with the softness of its own scene: how soft
-    the one is says nothing of the other, but no border is sharper than the optics show it. A mean
-    of the single estimates would take over what each assumes of its scene.
+    The likelihoods are multiplied, each with the softness of its own scene: no border is sharper
+    than the optics show it. A mean of the single estimates would take over what each assumes of
+    its scene. Which share of the scenes is sharp, and in which share the held-out pixels are good,
+    the sequences tell together: borders of the same width in all of them are those of sharp scenes.
+    Before, these shares have the means that `combined` takes for granted, and weigh as much as two
+    sequences do.
+
+    The mean, not the maximum: held-out pixels that agree by chance make narrow peaks, and who uses
+    the two takes them for a normal distribution.
     """
-    likely = np.zeros(len(_SIGMAS))
+    plain = np.zeros(len(_SIGMAS))
+    borders = np.zeros((len(_SHARES), len(_SIGMAS)))
+    pixels = np.zeros((len(_SHARES), len(_SIGMAS)))
     for one, lr_px_per_unit in told:
         if one.measured is None:
-            likely += _normal(_SIGMAS - one.sigma, one.error)
-        else:
-            likely += _by_measurements(one.measured, lr_px_per_unit)
-    return _most_likely(likely)
+            plain += _normal(_SIGMAS - one.sigma, one.error)
+            continue
+        if one.measured.borders is not None:
+            borders += [_by_borders(*one.measured.borders, lr_px_per_unit, p) for p in _SHARES]
+        if one.measured.pixels is not None:
+            pixels += [_by_pixels(one.measured.pixels, p) for p in _SHARES]
+    likely = plain
+    for each, mean in ((borders, _SHARP_SHARE), (pixels, _PIXELS_GOOD)):
+        before = beta.logpdf(_SHARES, 2.0 * mean, 2.0 * (1.0 - mean))
+        likely = likely + logsumexp(each + before[:, None], axis=0)
+    weight = np.exp(likely - likely.max())
+    mean = float(weight @ _SIGMAS / weight.sum())
+    return mean, float(np.sqrt(weight @ (_SIGMAS - mean) ** 2 / weight.sum()))
 
 
 def possible(borders: BorderBlur, lr_px_per_unit: float) -> tuple[float, float]:
@@ -143,17 +163,25 @@ def _by_measurements(measured: PsfMeasurements, lr_px_per_unit: float) -> Array:
     if measured.borders is not None:
         likely += _by_borders(*measured.borders, lr_px_per_unit)
     if measured.pixels is not None:
-        away = np.log(_SIGMAS / measured.pixels)
-        good = np.log(_PIXELS_GOOD) + _normal(away, _PIXELS_ERROR)
-        likely += np.logaddexp(good, np.log(1.0 - _PIXELS_GOOD) + _normal(away, _PIXELS_WRONG))
+        likely += _by_pixels(measured.pixels)
     return likely
 
 
-def _by_borders(width: float, error: float, lr_px_per_unit: float) -> Array:
+def _by_pixels(pixels: float, good_share: float = _PIXELS_GOOD) -> Array:
+    """Log likelihood of every sigma, from held-out pixels that may tell nothing."""
+    away = np.log(_SIGMAS / pixels)
+    good = np.log(good_share) + _normal(away, _PIXELS_ERROR)
+    wrong = np.log(1.0 - good_share) + _normal(away, _PIXELS_WRONG)
+    return np.asarray(np.logaddexp(good, wrong), np.float64)
+
+
+def _by_borders(
+    width: float, error: float, lr_px_per_unit: float, sharp_share: float = _SHARP_SHARE
+) -> Array:
     """Log likelihood of every sigma, the mean over how soft the scene may be."""
     soft = _SOFTEST * _SOFTNESS
     sharp = soft < _SHARP
-    prior = (1.0 - _SHARP_SHARE) / len(soft) + _SHARP_SHARE * sharp / sharp.sum()
+    prior = (1.0 - sharp_share) / len(soft) + sharp_share * sharp / sharp.sum()
     together = np.hypot(_SIGMAS[:, None], soft * lr_px_per_unit)
     each = _normal(together - width, error)
     return np.asarray(logsumexp(each, axis=1, b=prior), np.float64)

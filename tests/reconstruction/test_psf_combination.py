@@ -93,9 +93,20 @@ def test_one_camera_over_sequences_is_as_sharp_as_its_sharpest_borders_show() ->
     told = [(combined(replace(SHARP, sigma=width), None, 50.0), 50.0) for width in widths]
     sigma, error = combined_over_sequences(told)
     assert sigma == pytest.approx(0.4, abs=0.01)
-    assert error < 0.01
+    assert error < 0.015
     # The mean of what each would say alone is wider than the optics.
     assert np.mean([psf.sigma for psf, _ in told]) > 0.42
+
+
+def test_held_out_pixels_of_which_no_two_agree_hardly_move_what_borders_tell() -> None:
+    borders = replace(SHARP, sigma=0.35, error=0.018)
+    pixels = (0.31, 0.23, 0.385, 0.25, 0.335, 0.285, 0.23, 0.312)
+    told = [(combined(borders, one, 50.0), 50.0) for one in pixels]
+    sigma, error = combined_over_sequences(told)
+    without, _ = combined_over_sequences([(combined(borders, None, 50.0), 50.0)] * len(pixels))
+    assert sigma == pytest.approx(without, rel=0.02)
+    assert 0.005 < error < 0.012
+    assert np.mean([psf.sigma for psf, _ in told]) < 0.94 * without
 
 
 def test_held_out_pixels_that_no_other_sequence_confirms_are_not_believed() -> None:
