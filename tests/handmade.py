@@ -38,6 +38,7 @@ class FakeSequence:
     copies: dict[int, int] = field(default_factory=dict)
     lock_in: None = None
     without_current: frozenset[int] = frozenset()
+    defects: np.ndarray = field(default_factory=lambda: np.zeros((60, 80), bool))
 
     def __len__(self) -> int:
         return len(self.names)

@@ -36,6 +36,10 @@ class Frames:
     def shape(self) -> tuple[int, ...]:
         return self.images[0].shape
 
+    @property
+    def removed_columns(self) -> np.ndarray:
+        return np.zeros(self.shape[1], np.float32)
+
     def __len__(self) -> int:
         return len(self.images)
 

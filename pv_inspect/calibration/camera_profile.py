@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from math import exp
+from math import exp, sqrt
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pv_inspect.calibration.focal_length import conventional_focal_length
 from pv_inspect.common.records import Number, Record, StoredRecord, Text, Whole, checked
@@ -16,11 +16,25 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.settings.toml import read_toml
 from pv_inspect.storage.folders import replace_file
 
-__all__ = ["CameraProfile", "Known", "LensProfile", "PsfProfile", "read_profile", "write_profile"]
+__all__ = [
+    "CameraProfile",
+    "ColumnsProfile",
+    "Known",
+    "LensProfile",
+    "PsfProfile",
+    "VignettingProfile",
+    "conventional_kappa",
+    "read_profile",
+    "write_profile",
+]
+
+# Five numbers for each of 100,000 columns.
+_MOST_BYTES = 2**23
 
 PsfShape = Literal["gaussian", "disc", "unknown"]
 
 _Error = Annotated[float, Field(strict=True, gt=0, le=1e4)]
+_NotNegative = Annotated[float, Field(strict=True, ge=0, le=1e4)]
 _Side = Annotated[int, Field(strict=True, ge=1, le=10**6)]
 
 
@@ -58,6 +72,19 @@ class VignettingProfile(Record):
     deviations: Annotated[tuple[Number, ...], Field(min_length=1, max_length=4)]
 
 
+class ColumnsProfile(Record):
+    """Pattern of the columns: each adds ``level + gain (p - light)`` to a light p, full scale = 1.
+
+    One number per column, as in `pv_inspect.photometry.fixed_pattern.ColumnPattern`.
+    """
+
+    light: tuple[Number, ...]
+    level: tuple[Number, ...]
+    level_error: tuple[_NotNegative, ...]
+    gain: tuple[Number, ...]
+    gain_error: tuple[_NotNegative, ...]
+
+
 class CameraProfile(StoredRecord):
     """A camera as many results saw it.
 
@@ -70,9 +97,27 @@ class CameraProfile(StoredRecord):
     height: _Side
     results: Whole
     notes: tuple[Text, ...] = ()
+    defective_pixels: tuple[tuple[Whole, Whole], ...] = ()
+    """(row, column), from 0."""
     lens: LensProfile | None = None
     psf: PsfProfile | None = None
     vignetting: VignettingProfile | None = None
+    columns: ColumnsProfile | None = None
+
+    @model_validator(mode="after")
+    def _fits_the_frames(self) -> Self:
+        for row, col in self.defective_pixels:
+            if row >= self.height or col >= self.width:
+                raise ValueError(
+                    f"has the defective pixel [{row}, {col}] outside of {self.width} x "
+                    f"{self.height} px"
+                )
+        for name, values in self.columns or ():
+            if len(values) != self.width:
+                raise ValueError(
+                    f"has {len(values)} numbers in columns.{name}, but a width of {self.width}"
+                )
+        return self
 
     def kappa_at(self, focal_length_px: float) -> Known | None:
         """Return kappa and its error for another focal length; None if it is not known."""
@@ -111,6 +156,15 @@ class CameraProfile(StoredRecord):
         if self.vignetting is not None:
             fall = 100 * (1 - exp(sum(self.vignetting.coefficients)))
             lines.append(f"corners darker by {fall:.1f} %")
+        if self.columns is not None:
+            level, gain = (
+                100 * sqrt(sum(v**2 for v in values) / self.width)
+                for values in (self.columns.level, self.columns.gain)
+            )
+            lines.append(f"columns differ by {level:.2f} % of full scale, {gain:.2f} % in gain")
+        if self.defective_pixels:
+            n = len(self.defective_pixels)
+            lines.append(f"{n} defective pixel{'s' if n > 1 else ''}")
         return tuple(lines)
 
 
@@ -130,7 +184,7 @@ def read_profile(path: Path, image_shape: tuple[int, int] | None = None) -> Came
         If the file can't be read, holds something else, or is of a camera of another size.
     """
     try:
-        profile = checked(CameraProfile, read_toml(path))
+        profile = checked(CameraProfile, read_toml(path, _MOST_BYTES))
     except ValueError as error:
         raise InspectionError(
             f"{path} is no camera profile ({error}): make one with pv-inspect calibrate."

@@ -33,8 +33,9 @@ def calibrate(
 ) -> None:
     """Pool what results of one camera say of it into a camera profile.
 
-    Kappa, principal point, optical blur and vignetting, each weighted by its uncertainty. Results
-    that do not go with the others and a drift are told. Use it with pv-inspect run --camera.
+    Kappa, principal point, optical blur, vignetting and pattern of the columns, each weighted by
+    its uncertainty, and defective pixels. Results that do not go with the others and a drift are
+    told. Use it with pv-inspect run --camera.
     """
     with one_sentence_on_errors(debug):
         from pv_inspect.calibration.camera_profile import write_profile

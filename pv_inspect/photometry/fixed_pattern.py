@@ -17,7 +17,18 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter
 from pv_inspect.common.robust import MAD_TO_SIGMA, MEDIAN_CHI2
 from pv_inspect.photometry.residual_sums import COUNT, LIGHT, LIGHT2, MISFIT, PRODUCT, ResidualSums
 
-__all__ = ["Estimate", "columns_of_frames", "fixed_columns", "pixel_gains", "shrink"]
+__all__ = [
+    "ColumnPattern",
+    "Estimate",
+    "column_lines",
+    "columns_of_frames",
+    "columns_of_halves",
+    "fixed_columns",
+    "mean_light",
+    "pixel_gains",
+    "shrink",
+    "without_slow_columns",
+]
 
 Array = NDArray[np.float64]
 
@@ -42,77 +53,146 @@ class Estimate:
     precision: Array
 
 
-def shrink(first: Estimate, second: Estimate) -> Array:
+@dataclass(frozen=True, eq=False)
+class ColumnPattern:
+    """What the columns add to a prediction p: ``level + gain (p - light)``; all (width,) float64.
+
+    Parameters
+    ----------
+    light : array
+        Mean prediction that level and gain were found at, where they hardly depend on each other.
+    level, gain : array
+        Level: full scale = 1.
+    level_error, gain_error : array
+        Standard deviations.
+    """
+
+    light: Array
+    level: Array
+    level_error: Array
+    gain: Array
+    gain_error: Array
+
+    @property
+    def offset(self) -> Array:
+        """What is added without light."""
+        return self.level - self.gain * self.light
+
+    def variance_at(self, light: Array) -> Array:
+        """Variance of what is added at another prediction."""
+        return np.asarray(self.level_error**2 + ((light - self.light) * self.gain_error) ** 2)
+
+
+def shrink(first: Estimate, second: Estimate, variance: Array | float = 0.0) -> Array:
     """Combine two estimates of a pattern of mean zero, so that noise is not added to the frames.
 
     Parameters
     ----------
     first, second : Estimate of the same shape
         From independent data.
+    variance : array of that shape, or float
+        That the pattern has in any case.
 
     Returns
     -------
     float64 array of that shape
-        All zero if the two do not agree.
+        All zero if the two do not agree, and there is no such variance.
 
     Notes
     -----
     With the precision-weighted mean m of both, of precision q, the result is
     ``m S / (S + c / q)``: the posterior mean for a pattern of variance S. S is the mean product of
-    the halves; c >= 1 is the variance that they differ by over the one that q claims.
+    the halves, if it is significant, and the variance that is given; c >= 1 is the variance that
+    they differ by over the one that q claims.
     """
+    return _posterior(first, second, variance)[0]
+
+
+def _posterior(
+    first: Estimate, second: Estimate, variance: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Mean and variance of the pattern, see `shrink`."""
+    given = np.broadcast_to(np.asarray(variance, np.float64), first.value.shape)
     total = first.precision + second.precision
     mean = first.value * first.precision + second.value * second.precision
     mean = np.divide(mean, total, out=np.zeros_like(mean), where=total > 0)
     lesser = np.minimum(first.precision, second.precision)
     known = lesser > 0
     if known.sum() < _LEAST_ELEMENTS:
-        return np.zeros_like(mean)
+        return np.zeros_like(mean), given.copy()
     known &= lesser > _TYPICAL * np.median(lesser[known])
     if known.sum() < _LEAST_ELEMENTS:
-        return np.zeros_like(mean)
+        return np.zeros_like(mean), given.copy()
     limit = _OUTLIER * MAD_TO_SIGMA * float(np.median(np.abs(mean[known])))
     a, b = (np.clip(e.value[known], -limit, limit) for e in (first, second))
     strength = float((a * b).mean())
     if not strength > _SIGNIFICANCE * float((a * b).std()) / np.sqrt(known.sum()):
-        return np.zeros_like(mean)
+        strength = 0.0
     claimed = 1.0 / first.precision[known] + 1.0 / second.precision[known]
     difference = (first.value - second.value)[known]
     excess = max(float(np.median(difference**2 / claimed)) / MEDIAN_CHI2, 1.0)
-    shrunk: Array = mean * strength * total / (strength * total + excess)
-    return shrunk
+    prior = strength + given
+    share = prior * total / (prior * total + excess)
+    return mean * share, prior * (1.0 - share)
 
 
-def fixed_columns(sums: ResidualSums, second: NDArray[np.bool_]) -> tuple[Array, Array]:
+def fixed_columns(
+    sums: ResidualSums, second: NDArray[np.bool_], known: ColumnPattern | None = None
+) -> tuple[Array, Array]:
     """Estimate offset and gain of every column, the same in all frames.
 
     Parameters
     ----------
     sums : ResidualSums
     second : (n_frames,) bool
-        Frames of the second half, see `residuals.halves_along`.
+        Frames of the second half, see `residual_sums.halves_along`.
+    known : ColumnPattern, optional
+        What was taken out of the frames before; its uncertainty is a prior.
 
     Returns
     -------
     offset, gain : (width,) float64
         The column adds ``offset + gain * p`` to a prediction p.
 
+    """
+    found = columns_of_halves(sums.of_columns(second), known)
+    return found.offset, found.gain
+
+
+def columns_of_halves(sums: Array, known: ColumnPattern | None = None) -> ColumnPattern:
+    """Estimate offset and gain of every column from two halves of the data.
+
+    Parameters
+    ----------
+    sums : (2, 5, width) float64
+        `residual_sums`' COUNT to PRODUCT of each half.
+    known : ColumnPattern, optional
+        What was taken out of the frames before; its uncertainty is a prior.
+
     Notes
     -----
     Both halves are fitted by ``c + gain (p - p0)`` with the mean prediction p0 of the column: c and
     gain are nearly uncorrelated then and shrunk one by one.
     """
-    columns = sums.bands.sum(axis=2, dtype=np.float64)
-    whole = columns.sum(axis=0)
-    p0 = np.divide(whole[LIGHT], whole[COUNT], out=np.zeros(whole.shape[1]), where=whole[COUNT] > 0)
-    halves = [_line(columns[half].sum(axis=0), p0) for half in (~second, second)]
-    level = shrink(*(_without_slow_columns(h[0]) for h in halves))
-    gain = shrink(*(_without_slow_columns(h[1]) for h in halves))
-    return level - gain * p0, gain
+    p0 = mean_light(sums.sum(axis=0))
+    first, second = (column_lines(half, p0) for half in sums)
+    priors = (0.0, 0.0) if known is None else (known.variance_at(p0), known.gain_error**2)
+    level, level_variance = _posterior(first[0], second[0], priors[0])
+    gain, gain_variance = _posterior(first[1], second[1], priors[1])
+    return ColumnPattern(p0, level, np.sqrt(level_variance), gain, np.sqrt(gain_variance))
 
 
-def _line(sums: Array, p0: Array) -> tuple[Estimate, Estimate]:
-    """Fit r = c + gain (p - p0) per column to the (5, width) sums; returns c and gain."""
+def mean_light(sums: Array) -> Array:
+    """Return the mean prediction of every column, (width,), from (5, width) sums."""
+    none = np.zeros(sums.shape[1])
+    return np.asarray(np.divide(sums[LIGHT], sums[COUNT], out=none, where=sums[COUNT] > 0))
+
+
+def column_lines(sums: Array, p0: Array) -> tuple[Estimate, Estimate]:
+    """Fit r = c + gain (p - p0) per column to the (5, width) sums; returns c and gain.
+
+    What is slower than a pattern is taken out of both.
+    """
     w, wp, wpp, wr, wpr = sums
     spread = wpp - 2.0 * p0 * wp + p0**2 * w
     mixed = wp - p0 * w
@@ -122,9 +202,11 @@ def _line(sums: Array, p0: Array) -> tuple[Estimate, Estimate]:
     safe = np.where(known, determinant, 1.0)
     level = np.where(known, (spread * wr - mixed * product) / safe, 0.0)
     gain = np.where(known, (w * product - mixed * wr) / safe, 0.0)
+    level_precision = np.where(known, safe / np.where(known, spread, 1.0), 0.0)
+    gain_precision = np.where(known, safe / np.where(known, w, 1.0), 0.0)
     return (
-        Estimate(level, np.where(known, safe / np.where(known, spread, 1.0), 0.0)),
-        Estimate(gain, np.where(known, safe / np.where(known, w, 1.0), 0.0)),
+        _without_slow_columns(Estimate(level, level_precision)),
+        _without_slow_columns(Estimate(gain, gain_precision)),
     )
 
 
@@ -162,7 +244,7 @@ def columns_of_frames(sums: ResidualSums) -> Array:
                 for shape in (p0, slope, np.gradient(slope))
             ]
             halves[k].append(Estimate(_residual(offset, shapes), offset.precision))
-    return shrink(*(_stacked(h) for h in halves))
+    return shrink(_stacked(halves[0]), _stacked(halves[1]))
 
 
 def _residual(estimate: Estimate, shapes: list[Array]) -> Array:
@@ -208,7 +290,12 @@ def pixel_gains(sums: ResidualSums) -> Array:
         )
         gain -= _ratio((gain * light2).sum(axis=0), light2.sum(axis=0))
         halves.append(Estimate(np.where(known, gain, 0.0), light2))
-    return shrink(*halves)
+    return shrink(halves[0], halves[1])
+
+
+def without_slow_columns(values: Array) -> Array:
+    """Subtract the mean of the columns around from (width,) values."""
+    return _without_slow_columns(Estimate(values, np.ones(len(values)))).value
 
 
 def _without_slow_columns(estimate: Estimate) -> Estimate:

@@ -15,8 +15,20 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.robust import MAD_TO_SIGMA
 from pv_inspect.observation.model import ObservationModel
-from pv_inspect.photometry.fixed_pattern import columns_of_frames, fixed_columns, pixel_gains
-from pv_inspect.photometry.residual_sums import ResidualSums, halves_along
+from pv_inspect.photometry.fixed_pattern import (
+    ColumnPattern,
+    columns_of_frames,
+    fixed_columns,
+    pixel_gains,
+)
+from pv_inspect.photometry.residual_sums import (
+    COUNT,
+    LIGHT,
+    MISFIT,
+    PRODUCT,
+    ResidualSums,
+    halves_along,
+)
 from pv_inspect.photometry.vignetting import Vignetting, estimate_vignetting
 from pv_inspect.registration.light_falloff import falloff_of_parts
 from pv_inspect.registration.registration import Registration
@@ -59,19 +71,26 @@ class Photometry:
     Parameters
     ----------
     response : (height, width) float32
-        What a pixel makes of the light, about 1.
+        What a pixel makes of the light, about 1; 0 for pixels that are not used.
     offsets : (n_frames, width) float32
         What the columns add to it in every frame, full scale = 1.
     vignetting : Vignetting
         The slow part of the response.
     illumination : (height, width) float64
         The vignetting alone, at every pixel.
+    columns : ColumnPattern or None
+        What was known of the columns before the frames were looked at.
+    column_sums : (2, 5, width) float32 or None
+        What two halves of the frames say of the columns, for `pooled_columns`; with what was taken
+        out when the frames were opened. None if the sequence can't tell.
     """
 
     response: Image
     offsets: Image
     vignetting: Vignetting
     illumination: Array
+    columns: ColumnPattern | None = None
+    column_sums: Image | None = None
 
     @classmethod
     def ideal(cls, n_frames: int, shape: tuple[int, int]) -> Photometry:
@@ -159,7 +178,8 @@ def observed(
     sigma = sequence.noise.sigma(smooth, None if added is None else added[rows, cols])
     weights = np.square(scale / sigma)
     weights[~ready.valid[rows, cols]] = 0.0
-    return (g / scale).astype(np.float32), weights.astype(np.float32)
+    g = np.divide(g, scale, out=np.zeros_like(g), where=scale > 0)
+    return g.astype(np.float32), weights.astype(np.float32)
 
 
 def huber_weights(g: Image, predicted: Image, weights: Image) -> Image:
@@ -246,13 +266,18 @@ def estimate_photometry(
             model.frame(registration.homographies[i], motion[i]).sample(blurred), np.float32
         )
         weights = huber_weights(g, seen, weights)
-        weights = np.where(seen != 0, weights / gain**2, np.float32(0))
+        weights = np.divide(
+            weights, gain**2, out=np.zeros_like(weights), where=(seen != 0) & (gain > 0)
+        )
         predicted = gain * seen
         sums.add(k, bool(along[k]), predicted, gain * (g - seen), weights)
         yield (k + 1) / (used.size + 2)
     columns, gains = np.zeros((used.size, sequence.shape[1])), np.zeros(sequence.shape)
+    told = None
     if apart_across > _LEAST_DISTANCE:
-        offset, gain_of_columns = fixed_columns(sums, across)
+        if ideal.columns is None:
+            told = _with_removed(sums.of_columns(across), sequence.removed_columns)
+        offset, gain_of_columns = fixed_columns(sums, across, ideal.columns)
         sums.take_out_columns(offset, gain_of_columns)
         columns += offset
         gains += gain_of_columns
@@ -269,8 +294,19 @@ def estimate_photometry(
     illumination = vignetting.illumination(registration.camera, sequence.shape)
     offsets = ideal.offsets.copy()
     offsets[used] += columns
-    response = (illumination * (1.0 + gains)).astype(np.float32)
-    return Photometry(response, offsets, vignetting, illumination)
+    pattern = ideal.response / ideal.illumination
+    response = (illumination * pattern * (1.0 + gains)).astype(np.float32)
+    return Photometry(response, offsets, vignetting, illumination, ideal.columns, told)
+
+
+def _with_removed(sums: Array, removed: Image | None) -> Image | None:
+    """Add what was taken out of the columns before to the sums over their residuals."""
+    if removed is None:
+        return None
+    whole = sums.copy()
+    whole[:, MISFIT] += removed * sums[:, COUNT]
+    whole[:, PRODUCT] += removed * sums[:, LIGHT]
+    return whole.astype(np.float32)
 
 
 def mean_illumination(

@@ -71,6 +71,17 @@ class ResidualSums:
             self.pixels[int(half), k] += term
             self.bands[index, k] = np.add.reduceat(term, starts, axis=0)
 
+    def of_columns(self, second: NDArray[np.bool_]) -> Array:
+        """Return the sums of both halves of the frames over whole columns, (2, 5, width).
+
+        Parameters
+        ----------
+        second : (n_frames,) bool
+            Frames of the second half.
+        """
+        columns = self.bands.sum(axis=2, dtype=np.float64)
+        return np.stack([columns[half].sum(axis=0) for half in (~second, second)])
+
     def take_out_columns(self, offset: Array, gain: Array) -> None:
         """Take ``offset + gain p`` per column out of the residuals that are summed up.
 

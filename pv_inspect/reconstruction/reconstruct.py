@@ -19,11 +19,8 @@ from pv_inspect.observation.stencil import Quadratic
 from pv_inspect.photometry.photometry import (
     Photometry,
     estimate_photometry,
-    falloff_alone,
     mean_illumination,
-    photometry_of,
 )
-from pv_inspect.photometry.vignetting import Vignetting
 from pv_inspect.reconstruction.accumulation import Accumulation
 from pv_inspect.reconstruction.cell_sight import sight_of
 from pv_inspect.reconstruction.held_out import View, cut_view
@@ -37,6 +34,7 @@ from pv_inspect.reconstruction.prior_weight import (
     windows_of,
 )
 from pv_inspect.reconstruction.profile_psf import evidence_of
+from pv_inspect.reconstruction.profile_sensor import known_sensor
 from pv_inspect.reconstruction.psf_combination import combined
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.reconstruction.psf_estimation import TYPICAL_SIGMA_LR_PX
@@ -112,11 +110,7 @@ def reconstruct(
     profile = None
     if settings.camera_profile is not None:
         profile = read_profile(settings.camera_profile, sequence.shape)
-    photometry = falloff_alone(sequence, registration)
-    if photometry is None and profile is not None and profile.vignetting is not None:
-        fall = profile.vignetting
-        known = Vignetting(fall.coefficients, fall.deviations)
-        photometry = photometry_of(known, sequence, registration)
+    photometry = known_sensor(sequence, registration, profile)
     draft: Image | None = None
     if settings.second_pass:
         assumed = values_in_use(settings).psf_sigma_lr_px

@@ -24,6 +24,7 @@ from pv_inspect.reconstruction.psf_combination import combined_over_sequences
 from pv_inspect.reconstruction.psf_estimate import PsfEstimate
 from pv_inspect.results.folder import RESULT_JSON
 from pv_inspect.results.records import ResultRecord, settings_of
+from pv_inspect.results.sensor_evidence import pooled_pattern, pooled_pixels
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import recovered
 
@@ -64,7 +65,8 @@ def pooled_profile(folders: Sequence[Path]) -> CameraProfile:
     notes: list[str] = []
     lens = _lens(found, shape, notes)
     psf, vignetting = _psf(found, notes), _vignetting(found, notes)
-    if lens is None and psf is None and vignetting is None:
+    columns = pooled_pattern([recovered(folder) for folder in folders], shape[1], notes)
+    if lens is None and psf is None and vignetting is None and columns is None:
         raise InspectionError(
             "None of the results tells anything of the camera: kappa and blur were given, or could "
             "not be estimated. Give results of runs without these settings."
@@ -77,6 +79,8 @@ def pooled_profile(folders: Sequence[Path]) -> CameraProfile:
         lens=lens,
         psf=psf,
         vignetting=vignetting,
+        columns=columns,
+        defective_pixels=pooled_pixels([one.record for one in found]),
     )
 
 

@@ -27,6 +27,7 @@ RESULT_FILES = (
     "cracks.tif",
     "sensor_response.tif",
     "sensor_columns.tif",
+    "sensor_column_sums.tif",
     "cells.csv",
     "report.html",
     "geometry.json",

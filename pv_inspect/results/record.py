@@ -71,6 +71,7 @@ def result_record(inspection: Inspection) -> dict[str, Any]:
         },
         "lambda_curve": reconstruction.lambda_curve,
         "vignetting": None if photometry is None else vars(photometry.vignetting),
+        "defective_pixels": np.argwhere(inspection.frames.defects),
         "layout_guessed": inspection.layout_guessed,
         "runner_up": None if inspection.runner_up is None else asdict(inspection.runner_up),
         "gaps_found": inspection.gaps_found,

@@ -33,6 +33,7 @@ _OpenMatrix = tuple[tuple[_Open, _Open, _Open], tuple[_Open, _Open, _Open],
                     tuple[_Open, _Open, _Open]]  # fmt: skip
 _Cells = Annotated[int, Field(strict=True, ge=1, le=1000)]
 _Side = Annotated[int, Field(strict=True, ge=1, le=10**6)]
+_Pixel = Annotated[int, Field(strict=True, ge=0, lt=10**6)]
 _Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 _Above0 = Annotated[float, Field(strict=True, gt=0, le=1e5)]
 
@@ -198,6 +199,7 @@ class ResultRecord(StoredRecord):
     solver: SolverRecord
     lambda_curve: tuple[_OpenPair, ...] = ()
     vignetting: VignettingRecord | None = None
+    defective_pixels: tuple[tuple[_Pixel, _Pixel], ...] | None = None
     layout_guessed: bool = False
     runner_up: LayoutRecord | None = None
     gaps_found: bool = False

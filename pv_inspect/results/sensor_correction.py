@@ -15,10 +15,20 @@ from pv_inspect.photometry.photometry import Photometry
 from pv_inspect.photometry.vignetting import Vignetting
 from pv_inspect.results.records import VignettingRecord
 
-__all__ = ["COLUMNS_TIF", "RESPONSE_TIF", "read_photometry"]
+__all__ = [
+    "COLUMNS_TIF",
+    "COLUMN_SUMS_TIF",
+    "RESPONSE_TIF",
+    "packed_sums",
+    "read_column_sums",
+    "read_photometry",
+]
 
 RESPONSE_TIF = "sensor_response.tif"
 COLUMNS_TIF = "sensor_columns.tif"
+COLUMN_SUMS_TIF = "sensor_column_sums.tif"
+# Count, light, its square, misfit and product, of each half of the frames.
+_SUMS = (2, 5)
 
 
 def read_photometry(
@@ -55,7 +65,32 @@ def read_photometry(
     vignetting = Vignetting(tuple(found.coefficients), tuple(found.deviations))
     response = _floats(folder / RESPONSE_TIF, shape)
     offsets = _floats(folder / COLUMNS_TIF, (n_frames, shape[1]))
-    return Photometry(response, offsets, vignetting, vignetting.illumination(camera, shape))
+    return Photometry(
+        response,
+        offsets,
+        vignetting,
+        vignetting.illumination(camera, shape),
+        column_sums=read_column_sums(folder, shape[1]),
+    )
+
+
+def read_column_sums(folder: Path, width: int) -> NDArray[np.float32] | None:
+    """Read what the frames say of the columns, `Photometry.column_sums`; None if there is nothing.
+
+    Raises
+    ------
+    InspectionError
+        If the file is damaged, or of other frames.
+    """
+    path = folder / COLUMN_SUMS_TIF
+    if not path.is_file():
+        return None
+    return _floats(path, (_SUMS[0] * _SUMS[1], width)).reshape(*_SUMS, width)
+
+
+def packed_sums(sums: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (2, 5, width) sums as the rows of a picture."""
+    return sums.reshape(-1, sums.shape[-1])
 
 
 def _floats(path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:

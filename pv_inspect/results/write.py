@@ -32,7 +32,12 @@ from pv_inspect.results.folder import (
 )
 from pv_inspect.results.geometry_record import GEOMETRY_JSON, geometry_record, source_record
 from pv_inspect.results.record import plain_types, result_record
-from pv_inspect.results.sensor_correction import COLUMNS_TIF, RESPONSE_TIF
+from pv_inspect.results.sensor_correction import (
+    COLUMN_SUMS_TIF,
+    COLUMNS_TIF,
+    RESPONSE_TIF,
+    packed_sums,
+)
 from pv_inspect.storage.folders import Reservation
 
 __all__ = ["check_writable", "tile_name", "write_result"]
@@ -81,6 +86,9 @@ def _files(inspection: Inspection, out: Path) -> Iterator[tuple[str, bytes]]:
         yield RESPONSE_TIF, _packed(photometry.response, what)
         what = "what the columns add to every frame, full scale = 1; one row per frame"
         yield COLUMNS_TIF, _packed(photometry.offsets, what)
+        if photometry.column_sums is not None:
+            what = "what two halves of the frames say of the columns, for pv-inspect calibrate"
+            yield COLUMN_SUMS_TIF, _packed(packed_sums(photometry.column_sums), what)
     yield "cracks.tif", _tiff(cracks.probability, grid, "crack probability, 0 to 1", True)
     for row, col in tiles.places:
         what = f"cell in row {row + 1}, column {col + 1}, full scale = 1"

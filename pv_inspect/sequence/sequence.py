@@ -291,6 +291,17 @@ class FrameSequence:
         return reasons if self.lock_in is None else self.lock_in.dark_and_unused | reasons
 
     @property
+    def removed_columns(self) -> NDArray[np.float32] | None:
+        """What :meth:`frame` takes out of every column besides the black level, full scale = 1.
+
+        (width,); None where a dark or flat frame says more, or differences of frames are used.
+        """
+        if self._flat is not None or self._black.ndim > 1 or self.lock_in is not None:
+            return None
+        level = np.float32(self.black_level * self._scale.factor)
+        return (self._black - level) / (np.float32(self._scale.full_scale_dn) - level)
+
+    @property
     def without_current(self) -> frozenset[int]:
         """By daylight, the frames that were subtracted from others."""
         return frozenset() if self.lock_in is None else frozenset(self.lock_in.dark)

@@ -128,7 +128,8 @@ class Settings(ModuleSettings):
             files="Camera profile (*.toml);;All files (*)",
         ),
         "What pv-inspect calibrate pooled from other results of this camera (TOML): kappa, "
-        "principal point, blur and vignetting are taken into account as far as they are known.",
+        "principal point, blur, vignetting, columns and defective pixels are taken into account as "
+        "far as they are known.",
     )
     module_of: str | None = tunable(
         None,

@@ -17,8 +17,14 @@ __all__ = ["read_toml", "toml_text"]
 _LARGEST_FILE_BYTES = 2**20
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, most_bytes: int = _LARGEST_FILE_BYTES) -> dict[str, Any]:
     """Read the values of a TOML file; nothing is known yet about their names.
+
+    Parameters
+    ----------
+    path : Path
+    most_bytes : int
+        A larger file is refused.
 
     Raises
     ------
@@ -26,7 +32,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         If the file can't be read or is no TOML.
     """
     try:
-        text = read_text(path, _LARGEST_FILE_BYTES)
+        text = read_text(path, most_bytes)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InspectionError(

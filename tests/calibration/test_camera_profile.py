@@ -13,6 +13,7 @@ from pv_inspect.calibration.bundle_adjustment import Bundle, View
 from pv_inspect.calibration.calibrate import with_profile
 from pv_inspect.calibration.camera_profile import (
     CameraProfile,
+    ColumnsProfile,
     LensProfile,
     PsfProfile,
     read_profile,
@@ -37,6 +38,14 @@ PROFILE = CameraProfile(
         principal_point_error_px=0.2,
     ),
     psf=PsfProfile(sigma_lr_px=0.5, error_lr_px=0.01, shape="disc"),
+    columns=ColumnsProfile(
+        light=(0.3,) * 640,
+        level=(0.001, -0.001) * 320,
+        level_error=(1e-4,) * 640,
+        gain=(0.01, -0.01) * 320,
+        gain_error=(0.0,) * 640,
+    ),
+    defective_pixels=((3, 4), (500, 639)),
 )
 
 
@@ -70,12 +79,21 @@ def test_a_profile_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "camera.toml"
     write_profile(path, PROFILE)
     assert read_profile(path, (512, 640)) == PROFILE
+    assert PROFILE.described[-2:] == (
+        "columns differ by 0.10 % of full scale, 1.00 % in gain",
+        "2 defective pixels",
+    )
     assert [p.name for p in tmp_path.iterdir()] == ["camera.toml"]
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
+        ("width = 640\nheight = 512\nresults = 1\ndefective_pixels = [[512, 0]]\n",
+         r"defective pixel \[512, 0\] outside of 640 x 512 px"),
+        ("width = 2\nheight = 2\nresults = 1\n[columns]\nlight = [0.1]\nlevel = [0.1]\n"
+         "level_error = [0.1]\ngain = [0.1]\ngain_error = [0.1]\n",
+         "1 numbers in columns.light, but a width of 2"),
         ("rows = 6\n", "is no camera profile .width is missing."),
         ("width = 640\nheight = 512\nresults = 1\n[psf]\nsigma_lr_px = -1\nerror_lr_px = 1\n",
          "psf.sigma_lr_px is -1"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from pv_inspect.calibration.camera_profile import (
     CameraProfile,
+    ColumnsProfile,
     PsfProfile,
     VignettingProfile,
     write_profile,
@@ -16,7 +18,7 @@ from pv_inspect.calibration.camera_profile import (
 from pv_inspect.common.work import result_of
 from pv_inspect.reconstruction.reconstruct import reconstruct
 from pv_inspect.settings import Settings
-from tests.recording import SHAPE, SIGMA, recording
+from tests.recording import SHAPE, SIGMA, recording, settings_with
 
 
 def test_blur_and_vignetting_of_a_profile_are_used(tmp_path: Path) -> None:
@@ -40,3 +42,45 @@ def test_blur_and_vignetting_of_a_profile_are_used(tmp_path: Path) -> None:
     assert made.photometry.vignetting.coefficients == (-0.2,)
     corner = made.photometry.response[0, 0] / made.photometry.response[32, 44]
     assert corner == pytest.approx(np.exp(-0.2), abs=0.03)
+
+
+def test_columns_and_defective_pixels_of_a_profile_are_taken_out_of_a_single_frame(
+    tmp_path: Path,
+) -> None:
+    sequence, registration, _ = recording(1, moving=False)
+    rng = np.random.default_rng(3)
+    height, width = SHAPE
+    gain, offset = rng.normal(0, 0.05, width), rng.normal(0, 0.01, width)
+    spoilt = sequence.images[0] * (1 + gain) + offset
+    hot = ((30, 40), (31, 52))
+    for row, col in hot:
+        spoilt[row, col] = 0.95
+    wrong = replace(sequence, images=(spoilt.astype(np.float32),))
+    path = tmp_path / "camera.toml"
+    profile = CameraProfile(
+        width=width,
+        height=height,
+        results=5,
+        columns=ColumnsProfile(
+            light=(0.0,) * width,
+            level=tuple(offset),
+            level_error=(1e-4,) * width,
+            gain=tuple(gain),
+            gain_error=(1e-4,) * width,
+        ),
+        defective_pixels=hot,
+    )
+    write_profile(path, profile)
+    plain = settings_with(max_iterations=20)
+    best, without, with_it = (
+        result_of(reconstruct(frames, registration, settings)).image
+        for frames, settings in (
+            (sequence, plain),
+            (wrong, plain),
+            (wrong, plain.changed(camera_profile=path)),
+        )
+    )
+    assert np.isfinite(with_it).all()
+    # The mean over the columns around stays in the offsets.
+    assert np.abs(with_it - best).mean() < 0.35 * np.abs(without - best).mean()
+    assert np.abs(with_it - best).max() < 0.35 * np.abs(without - best).max()

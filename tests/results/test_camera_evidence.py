@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from pv_inspect.calibration.camera_profile import read_profile
@@ -48,6 +50,39 @@ def test_what_the_borders_show_is_pooled_and_not_what_each_scene_makes_of_it(
     psf = pooled_profile(folders).psf
     assert psf is not None
     assert psf.sigma_lr_px == pytest.approx(0.4, abs=0.01)
+
+
+def test_a_pixel_is_defective_if_half_of_the_results_say_so(tmp_path: Path) -> None:
+    pixels: list[Any] = [[[1, 2], [5, 6]], [[1, 2]], [[511, 639]], None]
+    folders = [
+        written_result(tmp_path / str(k), defective_pixels=told) for k, told in enumerate(pixels)
+    ]
+    assert pooled_profile(folders).defective_pixels == ((1, 2),)
+    assert pooled_profile(folders[3:]).defective_pixels == ()
+
+
+def test_columns_are_pooled_and_another_camera_is_told(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    own, other = rng.normal(0, 0.01, (2, 640))
+    folders = []
+    for k in range(5):
+        sums = np.zeros((2, 5, 640))
+        sums[:, :3] = np.array([1e6, 3e5, 1e5])[:, None]
+        level = (other if k == 3 else own) + rng.normal(0, 1e-3, (2, 640))
+        sums[:, 3], sums[:, 4] = 1e6 * level, 3e5 * level
+        folders.append(written_result(tmp_path / str(k)))
+        tifffile.imwrite(
+            folders[k] / "sensor_column_sums.tif", sums.reshape(10, 640).astype(np.float32)
+        )
+    profile = pooled_profile(folders)
+    assert profile.columns is not None
+    assert np.corrcoef(profile.columns.level, own)[0, 1] > 0.97
+    assert profile.notes == (
+        f"the columns of {folders[3]} do not show the pattern of the others: left out",
+    )
+    (folders[0] / "sensor_column_sums.tif").write_bytes(b"II")
+    with pytest.raises(InspectionError, match=r"sensor_column_sums\.tif is damaged"):
+        pooled_profile(folders)
 
 
 def test_what_was_given_is_no_evidence(tmp_path: Path) -> None:

@@ -86,6 +86,7 @@ def test_what_was_found_out_about_the_sensor_comes_back(tmp_path: Path) -> None:
         rng.normal(0, 0.01, (len(made.sequence), width)).astype(np.float32),
         vignetting,
         vignetting.illumination(made.registration.camera, (height, width)),
+        column_sums=rng.normal(0, 1, (2, 5, width)).astype(np.float32),
     )
     reconstruction = replace(made.reconstruction, photometry=photometry)
     write_result(replace(made, reconstruction=reconstruction), tmp_path / "out")
