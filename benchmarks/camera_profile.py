@@ -6,9 +6,9 @@
 Each camera is drawn by `psf_draws.py` (its blur, lens, sensor and vignetting) and photographs as
 many modules: layout, scene, flight and motion differ. Every sequence is run to its result folder
 at 2x, the results are pooled as ``pv-inspect calibrate`` does. Printed are the errors of the blur,
-one by one and pooled, of kappa / f^2 (as displacement in the corner of the frame) and of the
-vignetting; with ``--images`` also what each image loses against the true blur, without the profile
-and with one of the other sequences.
+one by one and pooled, of kappa / f^2 (as displacement in the corner of the frame), of the
+vignetting, the columns and the defective pixels; with ``--images`` also what each image loses
+against the true blur, without the profile and with one of the other sequences.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from psf_truth import psnr
 
 from pv_inspect.calibration.camera_profile import write_profile
 from pv_inspect.inspection.inspection import Inspection
+from pv_inspect.photometry.fixed_pattern import without_slow_columns
 from pv_inspect.pipeline import inspect, inspect_steps
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.camera_evidence import pooled_profile
@@ -32,6 +33,7 @@ from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 from pv_inspect.simulate import SimulationSettings, reserve_sequence, simulated, write_sequence
+from pv_inspect.simulate.exposure import Sensor
 
 OF_THE_CAMERA = (
     "focal_length_px", "kappa", "psf_sigma_px", "psf_shape", "vignetting", "full_well_e",
@@ -44,7 +46,8 @@ PLAIN = Settings(magnification=2.0)
 
 def sequence_of(camera: SimulationSettings, seed: int) -> SimulationSettings:
     """Draw a module and a flight for a camera; about one camera of three moves by pixels."""
-    return replace(drawn(seed), **{name: getattr(camera, name) for name in OF_THE_CAMERA})
+    of_camera = {name: getattr(camera, name) for name in OF_THE_CAMERA}
+    return replace(drawn(seed), sensor_seed=camera.seed, **of_camera)
 
 
 def image_with(settings: Settings, start: Inspection) -> Reconstruction:
@@ -117,10 +120,31 @@ def camera(number: int, count: int, images: bool, scratch: Path) -> None:
     if profile.vignetting is not None:
         fall = 1 - np.exp(sum(profile.vignetting.coefficients))
         print(f"  vignetting: {fall:.3f}, true {true.vignetting:.3f}")
+    sensor(true, results)
     for note in profile.notes:
         print(f"  {note}")
     if images:
         losses(true, scratch, results, runs)
+
+
+def sensor(true: SimulationSettings, results: list[Path]) -> None:
+    """Print how well one result and all of them know the sensor, apart from its slow part."""
+    own = Sensor(replace(true, sensor_seed=true.seed), np.random.default_rng())
+    for told in (results[:1], results):
+        profile = pooled_profile(told)
+        found = set(profile.defective_pixels)
+        hot = set(map(tuple, np.argwhere(own.defects).tolist()))
+        says = f"defective: {len(found & hot)} of {len(hot)}, wrong {len(found - hot)}"
+        if profile.columns is not None:
+            light, level = np.array(profile.columns.light), np.array(profile.columns.level)
+            truth = without_slow_columns(own.column_offset + own.column_gain * light)
+            error = without_slow_columns(level) - truth
+            claimed = np.sqrt(np.mean(np.square(profile.columns.level_error)))
+            says += (
+                f", columns {1e4 * truth.std():.1f}e-4, error {1e4 * error.std():.1f}e-4 "
+                f"(claimed {1e4 * claimed:.1f}e-4)"
+            )
+        print(f"  sensor of {len(told)}: {says}")
 
 
 def losses(

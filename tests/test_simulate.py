@@ -522,3 +522,23 @@ def test_the_simulator_shares_no_model_with_the_inspection() -> None:
             for module in modules:
                 if module.startswith("pv_inspect."):
                     assert module in allowed or module.startswith("pv_inspect.simulate")
+
+
+def test_sequences_with_one_sensor_seed_are_of_one_camera() -> None:
+    """Its pattern and dead pixels stay, the noise does not."""
+    pattern = {"n_frames": 1, "dead_share": 0.02, "column_offset_e": 300.0, "black_level_dn": 400}
+    settings = replace(TINY, **pattern)
+    one, other, alone = (
+        simulated(replace(each, sensor_seed=sensor), flat(each, 0.0)).frames[0].astype(float)
+        for each, sensor in (
+            (replace(settings, seed=1), 5),
+            (replace(settings, seed=2), 5),
+            (replace(settings, seed=2), -1),
+        )
+    )
+    np.testing.assert_array_equal(one == 0, other == 0)
+    assert ((one == 0) != (alone == 0)).any()
+    columns = [np.median(frame, axis=0) for frame in (one, other, alone)]
+    assert np.corrcoef(columns)[0, 1] > 0.9
+    assert abs(np.corrcoef(columns)[0, 2]) < 0.5
+    assert (one != other).mean() > 0.5

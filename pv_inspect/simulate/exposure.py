@@ -292,11 +292,20 @@ class Sensor:
     ----------
     settings : SimulationSettings
     rng : numpy.random.Generator
-        For the fixed pattern.
+        For the fixed pattern, unless the settings have a ``sensor_seed``.
+
+    Attributes
+    ----------
+    column_gain : (width,) float64
+        Share by which a column sees more light than the others.
+    column_offset : (width,) float64
+        What a column adds, full scale = 1.
     """
 
     def __init__(self, settings: SimulationSettings, rng: np.random.Generator) -> None:
         self._settings = settings
+        if settings.sensor_seed >= 0:
+            rng = np.random.default_rng(settings.sensor_seed)
         shape = (settings.height, settings.width)
         v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
         centre = camera_matrix(settings)[:2, 2]
@@ -304,9 +313,11 @@ class Sensor:
         radius2 = ((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / far**2
         gain = 1.0 - settings.vignetting * radius2
         gain *= 1.0 + settings.prnu * rng.standard_normal(shape)
-        gain *= 1.0 + settings.column_gain * rng.standard_normal(shape[1])
+        self.column_gain = settings.column_gain * rng.standard_normal(shape[1])
+        gain *= 1.0 + self.column_gain
         self._gain = np.clip(gain, 0, None)
         self._offset_e = settings.column_offset_e * rng.standard_normal(shape[1])
+        self.column_offset = self._offset_e / settings.full_well_e
         lottery = rng.random(shape)
         self._dead = lottery < settings.dead_share
         self._hot = ~self._dead & (lottery < settings.dead_share + settings.hot_share)

@@ -105,6 +105,10 @@ class SimulationSettings:
     prnu: float = _number(0.004, "share", 0, 0.2, "Spread of the gain between pixels.")
     column_offset_e: float = _number(60.0, "electrons", 0, 1e4, "Fixed column pattern, offset.")
     column_gain: float = _number(0.002, "share", 0, 0.2, "Fixed column pattern, gain.")
+    sensor_seed: int = _number(
+        -1, "1", -1, 2**63 - 1,
+        "Same seed, same pattern and defective pixels in several sequences; -1: each its own.",
+    )  # fmt: skip
     hot_share: float = _number(2e-4, "share", 0, 0.05, "Share of hot pixels.")
     dead_share: float = _number(1e-4, "share", 0, 0.05, "Share of dead pixels.")
     black_level_dn: int = _number(64, "DN", 0, 1000, "Black level.")
