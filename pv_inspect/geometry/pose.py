@@ -30,6 +30,27 @@ class Pose:
         """Pixels (n, 2) to module points (n, 2)."""
         return self.camera.unproject(self.homography, pixels)
 
+    def shows(
+        self, module_points: Array, shape: tuple[int, ...], beyond_px: float = 0.0
+    ) -> NDArray[np.bool_]:
+        """Whether module points lie in the frame.
+
+        Parameters
+        ----------
+        module_points : (n, 2) float64
+        shape : tuple of int
+            (height, width) of the frame.
+        beyond_px : float, optional
+            They may lie so far outside.
+
+        Returns
+        -------
+        (n,) bool
+        """
+        end = np.array([shape[1], shape[0]]) - 1 + beyond_px
+        pixels = np.nan_to_num(self.project(module_points), nan=-np.inf)
+        return np.asarray(np.all((pixels >= -beyond_px) & (pixels <= end), axis=1))
+
     def turned(
         self, size: tuple[float, float], new_size: tuple[float, float], quarter_turns: int
     ) -> Pose:
@@ -92,6 +113,23 @@ class Pose:
         jacobian = self.camera.jacobian(self.homography, np.array([size]) / 2)[0]
         with np.errstate(invalid="ignore"):
             return float(np.sqrt(np.abs(np.linalg.det(jacobian))))
+
+    def jacobian_amid(self, shape: tuple[int, ...]) -> Array:
+        """Derivatives of pixels by module points in the middle of a frame.
+
+        The module itself may lie beyond the fold of the lens where the frame shows a part of it.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            (height, width) of the frame.
+
+        Returns
+        -------
+        (2, 2) float64
+        """
+        middle = self.unproject(np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]]))
+        return np.asarray(self.camera.jacobian(self.homography, middle)[0])
 
     @property
     def aspect(self) -> float:

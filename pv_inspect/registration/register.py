@@ -19,13 +19,14 @@ from pv_inspect.common.work import Progress
 from pv_inspect.errors import InspectionError
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.geometry.pose import Pose
 from pv_inspect.memory import release
 from pv_inspect.module_choice.choice import choose_module
 from pv_inspect.registration.alignment import N_PARAMETERS, normal_equations
 from pv_inspect.registration.light_falloff import evenly_lit
 from pv_inspect.registration.module_mean import blur, detail_correlation, indices, module_mean
 from pv_inspect.registration.registration import Registration, normalised, unregistered
-from pv_inspect.registration.straightening import straighten
+from pv_inspect.registration.straightening import shown_points, straighten
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 
@@ -184,7 +185,7 @@ def register(
                 "The frames do not agree with each other "
                 f"({_first_reason(state.why)}): check that they show the same module."
             )
-    return _anchored(state, anchor)
+    return _anchored(state, anchor, sequence.shape)
 
 
 def _align(
@@ -282,7 +283,9 @@ def _straightened(
         return None
     grid = HrGrid.covering(state.layout, state.lr_px_per_unit, STRAIGHTENING_MAGNIFICATION)
     module, _ = module_mean(sequence, state, grid)
-    fitted = straighten(module, grid, state.camera, state.homographies[state.used], kappa_std)
+    fitted = straighten(
+        module, grid, state.camera, state.homographies[state.used], sequence.shape, kappa_std
+    )
     if fitted is None:
         return None
     camera, poses = fitted.camera, fitted.homographies
@@ -292,10 +295,12 @@ def _straightened(
     return replace(state, camera=camera, homographies=homographies, camera_errors=errors)
 
 
-def _anchored(state: Registration, anchor: Calibration | Registration) -> Registration:
+def _anchored(
+    state: Registration, anchor: Calibration | Registration, shape: tuple[int, int]
+) -> Registration:
     """Choose the homography common to all frames so that the crossings stay where they were."""
     ideal = state.layout.crossings()
-    mean = _mean_crossings(state, anchor)
+    mean = _mean_crossings(state, anchor, shape)
     good = np.isfinite(mean).all(axis=1)
     if good.sum() < 4:
         return state
@@ -307,13 +312,23 @@ def _anchored(state: Registration, anchor: Calibration | Registration) -> Regist
     return replace(state, homographies=homographies)
 
 
-def _mean_crossings(state: Registration, anchor: Calibration | Registration) -> Array:
-    """Where the crossing points of other poses lie on the registered module, on average."""
-    found = [
-        state.camera.unproject(state.homographies[i], anchor.crossings_px(i))
-        for i in indices(state.used)
-    ]
-    return np.asarray(np.nanmean(found, axis=0))
+def _mean_crossings(
+    state: Registration, anchor: Calibration | Registration, shape: tuple[int, int]
+) -> Array:
+    """Where the crossing points of other poses lie on the registered module, on average.
+
+    NaN where no frame shows them.
+    """
+    ideal = state.layout.crossings()
+    total, count = np.zeros_like(ideal), np.zeros(len(ideal))
+    for i in indices(state.used):
+        shown = shown_points(Pose(anchor.camera, anchor.homographies[i]), ideal, shape)
+        found = state.camera.unproject(state.homographies[i], anchor.crossings_px(i))
+        shown &= np.isfinite(found).all(axis=1)
+        total[shown] += found[shown]
+        count += shown
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / count[:, None])
 
 
 def _first_reason(why: tuple[str, ...]) -> str:

@@ -20,7 +20,7 @@ from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.pose import Pose
 from pv_inspect.registration.seen_lines import seen_lines
 
-__all__ = ["Straightened", "sharpened", "straighten"]
+__all__ = ["Straightened", "sharpened", "shown_points", "straighten"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -41,6 +41,9 @@ CAUCHY = 2.385
 """95 % efficient on normal errors."""
 CENTRE_STD_PX = 1.0
 """How far the principal point may go from where the calibration put it."""
+SHOWN_BEYOND = 0.25
+"""Cells. A photograph cropped to the edge of the module may cut half a gap; its outer crossing
+points count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,7 @@ def straighten(
     grid: HrGrid,
     camera: Camera,
     homographies: Array,
+    shape: tuple[int, int],
     kappa_std: float,
 ) -> Straightened | None:
     """Choose camera and poses so that the gaps of the module image are where they should be.
@@ -79,6 +83,8 @@ def straighten(
     camera : Camera
     homographies : (n, 3, 3) float64
         Poses of the frames, module plane to normalised image coordinates.
+    shape : tuple of int
+        (height, width) of a frame.
     kappa_std : float
         How far kappa may go from where it is, standard deviation of a prior. 0 keeps kappa and
         principal point: only the homography common to all frames is fitted.
@@ -94,33 +100,37 @@ def straighten(
     homography (8 parameters p), of kappa and of the principal point moves what appears there by
     B(y) p + F(y) q, linear for such small changes; its normal component is fitted to the measured
     d by robust least squares, Cauchy weights on residuals over the sigma of each gap. F is averaged
-    over the frames, which differ little.
+    over the frames that show the point, which differ little.
     """
     layout = grid.layout
     edges = cell_edges(layout)
     plane = Pose(Camera(np.eye(3), 0.0), np.asarray(np.linalg.inv(grid.matrix), np.float64))
     sharp = sharpened(module, BLUR_LR_PX * grid.magnification)
-    shape = SHARPENED_GAP
+    gap = SHARPENED_GAP
     seen = _seen_width(sharp, grid)
     if seen > UNRESOLVED_LR_PX:
-        shape = shape.widened(seen - shape.width)
+        gap = gap.widened(seen - gap.width)
     offsets = measure_gaps_robustly(
-        sharp, edges, plane, SEARCH_UNITS, shape.scaled(grid.magnification)
+        sharp, edges, plane, SEARCH_UNITS, gap.scaled(grid.magnification)
     )
     if offsets.found.sum() < MIN_GAPS:
         return None
-    solution, errors = _fit(edges, offsets, camera, homographies, grid, kappa_std)
+    poses = [Pose(camera, H) for H in homographies]
+    solution, errors = _fit(edges, offsets, poses, shape, grid, kappa_std)
     if not np.isfinite(solution).all():
         return None
     ideal = layout.crossings()
-    appears = ideal + np.einsum("nki,i->nk", _basis(ideal, camera, homographies, edges), solution)
+    appears = ideal + np.einsum("nki,i->nk", _basis(ideal, poses, shape, edges), solution)
     d_kappa, d_x, d_y = -solution[8:]
     K = camera.K + np.array([[0, 0, d_x], [0, 0, d_y], [0, 0, 0]])
     fitted = Camera(K, camera.kappa + d_kappa)
-    poses = [Pose(camera, H).under(fitted, ideal, appears) for H in homographies]
-    known = [pose.homography for pose in poses if pose is not None]
-    whole = len(known) == len(poses) and np.isfinite(known).all()
-    if not whole:
+    known = []
+    for pose in poses:
+        shown = shown_points(pose, ideal, shape)
+        moved = pose.under(fitted, ideal[shown], appears[shown])
+        if moved is not None:
+            known.append(moved.homography)
+    if len(known) < len(poses) or not np.isfinite(known).all():
         return None
     centre_error = float(np.sqrt(np.square(errors[1:]).mean()))
     return Straightened(fitted, np.array(known), float(errors[0]), centre_error)
@@ -157,15 +167,15 @@ def sharpened(image: Image, sigma: float) -> Image:
 def _fit(
     edges: CellEdges,
     offsets: EdgeOffsets,
-    camera: Camera,
-    homographies: Array,
+    poses: list[Pose],
+    shape: tuple[int, int],
     grid: HrGrid,
     kappa_std: float,
 ) -> tuple[Array, Array]:
     """Solution, and standard deviations of kappa and the principal point."""
     scale = grid.pixels_per_unit / grid.magnification
     use = offsets.found
-    basis = _basis(edges.middle, camera, homographies, edges)
+    basis = _basis(edges.middle, poses, shape, edges)
     rows = scale * np.einsum("nki,nk->ni", basis, edges.normal)[use]
     values = scale * offsets.offset[use]
     sigma = scale * offsets.sigma[use]
@@ -187,7 +197,18 @@ def _fit(
     return np.asarray(solution / size), np.asarray(errors)
 
 
-def _basis(points: Array, camera: Camera, homographies: Array, edges: CellEdges) -> Array:
+def shown_points(pose: Pose, points: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Whether module points lie in a frame, or so little outside that its edge cut a gap.
+
+    What a frame that shows a part of the module says of the rest is extrapolated.
+    """
+    jacobian = pose.camera.jacobian(pose.homography, points)
+    with np.errstate(invalid="ignore"):
+        scale = float(np.nanmedian(np.sqrt(np.abs(np.linalg.det(jacobian)))))
+    return pose.shows(points, shape, SHOWN_BEYOND * scale)
+
+
+def _basis(points: Array, poses: list[Pose], shape: tuple[int, int], edges: CellEdges) -> Array:
     """Displacements in the module plane: 8 of a homography, then kappa, cx, cy; (n, 2, 11)."""
     centre = edges.middle.mean(axis=0)
     x, y = ((points - centre) / np.ptp(edges.middle, axis=0).max()).T
@@ -199,12 +220,14 @@ def _basis(points: Array, camera: Camera, homographies: Array, edges: CellEdges)
         ],
         axis=1,
     )
-    moved = np.zeros((len(points), 2, 3))
-    for H in homographies:
-        derivatives = camera.derivatives(H, points)
+    moved, count = np.zeros((len(points), 2, 3)), np.zeros(len(points))
+    for pose in poses:
+        shown = shown_points(pose, points, shape)
+        derivatives = pose.camera.derivatives(pose.homography, points[shown])
         by_camera = np.concatenate(
             [derivatives.d_kappa[..., None], derivatives.d_intrinsics[..., 2:]], axis=-1
         )
         # The pixel stays, so the point of the module that it shows moves the other way.
-        moved -= np.linalg.solve(derivatives.d_module, by_camera)
-    return np.concatenate([plane, moved / len(homographies)], axis=-1)
+        moved[shown] -= np.linalg.solve(derivatives.d_module, by_camera)
+        count += shown
+    return np.concatenate([plane, moved / np.maximum(count, 1)[:, None, None]], axis=-1)

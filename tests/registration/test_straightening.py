@@ -8,10 +8,12 @@ from pv_inspect.detection.edges import cell_edges
 from pv_inspect.geometry.camera import Camera
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.geometry.layout import ModuleLayout
-from pv_inspect.registration.straightening import _basis, sharpened, straighten
+from pv_inspect.geometry.pose import Pose
+from pv_inspect.registration.straightening import _basis, sharpened, shown_points, straighten
 
 LAYOUT = ModuleLayout(5, 7)
 CAMERA = Camera(np.array([[600.0, 0, 322], [0, 600, 250], [0, 0, 1]]), -0.2)
+SHAPE = (500, 645)
 SCALE = 60.0
 FINER = 4
 
@@ -55,7 +57,7 @@ def test_a_common_bend_and_a_wrong_kappa_are_found_from_the_gaps() -> None:
     points = _pixel_points(grid)
     pixels = wrong.project(poses[1], points.reshape(-1, 2))
     truth = CAMERA.unproject(poses[1], pixels).reshape(*points.shape)
-    result = straighten(_drawn(grid, truth), grid, wrong, poses, 0.1)
+    result = straighten(_drawn(grid, truth), grid, wrong, poses, SHAPE, 0.1)
     assert result is not None
     camera, fitted = result.camera, result.homographies
     crossings = LAYOUT.crossings()
@@ -66,11 +68,29 @@ def test_a_common_bend_and_a_wrong_kappa_are_found_from_the_gaps() -> None:
     assert camera.kappa == pytest.approx(-0.2, abs=0.003)
 
 
+def test_what_a_frame_does_not_show_does_not_count() -> None:
+    rotation, _ = cv2.Rodrigues(np.array([0.08, -0.1, 0.02]))
+    true = Pose(CAMERA, np.column_stack([rotation[:, :2], [2.0, -2.6, 10.0]]))
+    crossings = LAYOUT.crossings()
+    shown = shown_points(true, crossings, SHAPE)
+    assert shown.mean() < 0.7
+    wrong = Pose(Camera(CAMERA.K, -0.17), true.homography)
+    grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
+    points = _pixel_points(grid).reshape(-1, 2)
+    seen = true.unproject(wrong.project(points)).reshape(*grid.shape, 2)
+    module = _drawn(grid, np.nan_to_num(seen, nan=-1.0))
+    module[~wrong.shows(points, SHAPE).reshape(grid.shape)] = 0
+    result = straighten(module, grid, wrong.camera, wrong.homography[None], SHAPE, 0.1)
+    assert result is not None
+    off = result.camera.project(result.homographies[0], crossings) - true.project(crossings)
+    assert np.sqrt((off[shown] ** 2).sum(axis=1).mean()) < 0.035
+
+
 def test_a_camera_that_is_given_stays() -> None:
     poses = _poses()
     grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
     shifted = _pixel_points(grid) - [0.01, -0.006]
-    result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, 0.0)
+    result = straighten(_drawn(grid, shifted), grid, CAMERA, poses, SHAPE, 0.0)
     assert result is not None
     camera, fitted = result.camera, result.homographies
     assert camera.kappa == pytest.approx(CAMERA.kappa, abs=1e-9)
@@ -83,7 +103,7 @@ def test_gaps_a_little_wider_than_the_layout_has_them_are_measured_in_their_midd
     grid = HrGrid.covering(LAYOUT, SCALE, 3.0)
     noise = np.random.default_rng(0).normal(0, 0.004, grid.shape).astype(np.float32)
     module = _drawn(grid, _pixel_points(grid), gap=0.05) + noise
-    result = straighten(module, grid, CAMERA, _poses(), 0.004)
+    result = straighten(module, grid, CAMERA, _poses(), SHAPE, 0.004)
     assert result is not None
     camera, fitted = result.camera, result.homographies
     points = camera.project(fitted[1], LAYOUT.crossings())
@@ -95,14 +115,14 @@ def test_gaps_a_little_wider_than_the_layout_has_them_are_measured_in_their_midd
 def test_a_picture_without_gaps_changes_nothing() -> None:
     grid = HrGrid.covering(LAYOUT, SCALE, 2.0)
     flat = np.full(grid.shape, 0.5, np.float32)
-    assert straighten(flat, grid, CAMERA, _poses(), 0.1) is None
+    assert straighten(flat, grid, CAMERA, _poses(), SHAPE, 0.1) is None
 
 
 def test_the_basis_is_the_derivative_of_what_a_pixel_shows() -> None:
     H = _poses()[:1]
     points = LAYOUT.crossings()
     edges = cell_edges(LAYOUT)
-    basis = _basis(points, CAMERA, H, edges)
+    basis = _basis(points, [Pose(CAMERA, H[0])], SHAPE, edges)
     pixels = CAMERA.project(H[0], points)
     for column, (step, change) in enumerate(
         [(1e-5, (0, 0)), (1e-3, (0, 2)), (1e-3, (1, 2))], start=8
