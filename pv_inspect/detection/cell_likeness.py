@@ -105,8 +105,9 @@ def cell_likeness(
     meshes = meshes[lights.mean(axis=(1, 2)) > WHOLLY]
     if len(meshes) < LEAST_CELLS:
         return None
+    cell_area = float(np.abs(np.linalg.det(pose.jacobian_amid(image.shape))))
     # Where few meshes count, many cells are left out.
-    area = len(meshes) * _cell_area(pose, image.shape) / max(float(bright.sum()), 1.0)
+    area = len(meshes) * cell_area / max(float(bright.sum()), 1.0)
     stretch = abs(np.log(pose.aspect))
     (own_x, end_x), (own_y, end_y) = _own_brightness(grey, lit), _own_brightness(grey.T, lit.T)
     score = _alike(meshes) - _uneven(meshes) - PER_STRETCH * stretch + PER_CELL * min(area, 1.0)
@@ -164,9 +165,3 @@ def _own_brightness(grey: Image, lit: Image) -> tuple[float, float]:
     weights = varied[[k, beside % SAMPLES]]
     end = (float(np.average([k, beside], weights=weights)) + 0.5) / SAMPLES
     return own, end - round(end)
-
-
-def _cell_area(pose: Pose, shape: tuple[int, ...]) -> float:
-    """Area of a cell in the middle of the frame, square pixels."""
-    middle = pose.unproject(np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]]))
-    return float(np.abs(np.linalg.det(pose.camera.jacobian(pose.homography, middle)[0])))

@@ -26,7 +26,7 @@ from pv_inspect.detection.joined_views import SHOWN_TOGETHER
 from pv_inspect.detection.large_frames import ReducedFrames, enlarged, reduction
 from pv_inspect.detection.orientation import same_way_up
 from pv_inspect.detection.outline import FILLED, OutlineError
-from pv_inspect.detection.overlapping_view import poses_in_other_frame
+from pv_inspect.detection.overlapping_view import found_beside, nearest
 from pv_inspect.detection.partial_views import found_together
 from pv_inspect.detection.seen_layout import better_layout, fits_given, found_around, seen_layout
 from pv_inspect.detection.single_frame import (
@@ -53,8 +53,6 @@ PROBED_TOGETHER = 3
 """Frames from all parts of the sequence that are looked at before the others, all means tried. If
 as many show the same other layout and none the given one, the given one is wrong."""
 CUT = "the border of the image cuts the module, and what is seen of it does not fit other frames"
-NEIGHBOURS = 3
-"""Frames in which the module was found that are compared with one in which it was not."""
 MAX_FAILED = 8
 """If so many frames show a bright area, but none the module, the others would not either."""
 
@@ -188,21 +186,15 @@ def _found_from_others(
     `why` is what the search in the frame alone came to.
     """
     image = sequence.frame(index).image
-    reason: OutlineError | None = None
-    cut = str(why) == RUNS_OVER
-    for other in sorted(found, key=lambda other: abs(other - index))[:NEIGHBOURS]:
-        try:
-            starts = poses_in_other_frame(sequence.frame(other).image, image, found[other].pose)
-            for start in starts:
-                try:
-                    return _unless_better(image, layout, detect_in_frame(image, layout, start))
-                except OutlineError as error:
-                    reason = reason or error
-        except OutlineError as error:
-            reason = reason or error
-    if cut:
-        raise OutlineError(f"{CUT} ({reason})")
-    raise reason or why
+    others = ((sequence.frame(k).image, found[k].pose) for k in nearest(found, index))
+    try:
+        return found_beside(
+            image,
+            others,
+            lambda start: _unless_better(image, layout, detect_in_frame(image, layout, start)),
+        )
+    except OutlineError as error:
+        raise OutlineError(f"{CUT} ({error})") if str(why) == RUNS_OVER else error from None
 
 
 def _spread(count: int) -> list[int]:

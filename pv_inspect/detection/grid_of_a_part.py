@@ -126,14 +126,17 @@ def grid_of_part(image: Image, cell_aspect: float) -> GridOfPart:
 def _grids(
     image: Image, bright: Mask, edges: CellEdges, start: Pose, cell_aspect: float
 ) -> Iterator[tuple[GridOfPart, CellLikeness]]:
-    """Grow the grid from a start, and once more from where cells end if that is elsewhere."""
+    """Grow the grid from a start, and once more from where cells end if that is elsewhere.
+
+    Busbars near the borders may keep it from growing: a narrow search does not reach them.
+    """
     for search in (SEARCH_UNITS, SEARCH_UNITS / 2):
         looks = None
         with suppress(OutlineError):
             grid = _grown(image, bright, edges, start, search)
             looks = cell_likeness(image, bright, grid.pose, plane_of(cell_aspect))
         if looks is None:
-            return
+            continue
         yield grid, looks
         if min(looks.own) > -SURE:
             return
@@ -183,7 +186,7 @@ def _grown(image: Image, bright: Mask, edges: CellEdges, start: Pose, search: fl
     middle = edges.middle[edges.inner].mean(axis=0)
     away = (np.abs(edges.middle - middle) / np.abs(edges.along).max(axis=0)).max(axis=1)
     for ring in RINGS:
-        part = edges.part((away < ring) & _in_view(pose, edges.middle, image.shape))
+        part = edges.part((away < ring) & pose.shows(edges.middle, image.shape))
         offsets = measure_edges(image, part, pose, search)
         pose = refined_pose(pose, part, offsets)
         offsets = measure_edges(image, part, pose, search / 2)
@@ -199,11 +202,6 @@ def _grown(image: Image, bright: Mask, edges: CellEdges, start: Pose, search: fl
     return GridOfPart(pose, share)
 
 
-def _in_view(pose: Pose, points: Array, shape: tuple[int, ...]) -> Mask:
-    pixels = np.nan_to_num(pose.project(points), nan=-1e4)
-    return np.asarray(np.all((pixels >= 0) & (pixels <= [shape[1] - 1, shape[0] - 1]), axis=1))
-
-
 def _share(
     shape: tuple[int, ...], bright: Mask, edges: CellEdges, offsets: EdgeOffsets, pose: Pose
 ) -> tuple[float, int]:
@@ -211,7 +209,7 @@ def _share(
     lit = offsets.visible.copy()
     for side in (-BESIDE, BESIDE):
         points = edges.middle + side * np.abs(edges.along[:, ::-1])
-        lit &= _in_view(pose, points, shape)
+        lit &= pose.shows(points, shape)
         pixels = np.nan_to_num(pose.project(points)).round()
         x, y = np.clip(pixels, 0, [shape[1] - 1, shape[0] - 1]).astype(int).T
         lit &= bright[y, x]

@@ -24,6 +24,8 @@ __all__ = [
     "NO_PLACE",
     "SHOWN_TOGETHER",
     "beside_others",
+    "joined_picture",
+    "lies_on",
     "of_another_aspect",
     "poses_together",
 ]
@@ -54,20 +56,51 @@ NO_PLACE = (
 
 
 def beside_others(parts: Mapping[int, Part]) -> list[int]:
-    """Say which frames do not lie on what all others show.
+    """Say which frames do not lie on what all others show, the worst one first.
 
     Parameters
     ----------
     parts : mapping of frame number to Part
         Seen through the module itself, with the poses that were found at last.
     """
-    off = []
-    for k, part in parts.items():
-        others = laid_together(parts, {n: np.zeros(2) for n in parts if n != k})
-        beside = off_cells(part, others)
-        if beside is not None and beside > ASIDE:
-            off.append(k)
-    return off
+    left, out = dict(parts), []
+    while len(left) > 1:
+        beside = {
+            k: _beside(part, joined_picture({n: one for n, one in left.items() if n != k}))
+            for k, part in left.items()
+        }
+        worst = max(beside, key=lambda k: beside[k])
+        if beside[worst] <= ASIDE:
+            break
+        # It is in the picture that the others were compared with.
+        del left[worst]
+        out.append(worst)
+    return out
+
+
+def joined_picture(parts: Mapping[int, Part]) -> Part:
+    """Lay frames that are seen through the module itself over each other."""
+    return laid_together(parts, {k: np.zeros(2) for k in parts})
+
+
+def lies_on(part: Part, others: Part) -> bool:
+    """Whether a frame fits what others show of the module where it lies, and only there.
+
+    Parameters
+    ----------
+    part, others : Part
+        Seen through the module itself.
+    """
+    shift = shift_between(others, part, whole_cells=True)
+    return shift is not None and not np.abs(shift[0]).max() > MOST_MISFIT
+
+
+def _beside(part: Part, others: Part) -> float:
+    """Cells by which a frame lies beside what others show; 0 if that can't be told."""
+    shift = shift_between(others, part, whole_cells=True)
+    if shift is not None and np.abs(shift[0]).max() > MOST_MISFIT:
+        return float(np.abs(shift[0]).max())
+    return off_cells(part, others) or 0.0
 
 
 def of_another_aspect(poses: Mapping[int, Pose]) -> list[int]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -12,11 +12,14 @@ from numpy.typing import NDArray
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.geometry.pose import Pose
 
-__all__ = ["poses_in_other_frame"]
+__all__ = ["found_beside", "nearest", "poses_in_other_frame"]
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
+T = TypeVar("T")
 
+NEIGHBOURS = 3
+"""Frames in which the module was found that are compared with one in which it was not."""
 REDUCED_SIDE_PX = 320
 """Frames are compared with about so many pixels on their shorter side."""
 FINE_BAND_PX, COARSE_BAND_PX = (1.0, 8.0), (2.5, 12.0)
@@ -30,6 +33,47 @@ LEAST_CORRELATION, CLEAR_CORRELATION = 0.3, 0.6
 """Of the two frames where they overlap, after the fit: with less a place is not tried, with more
 it is tried before others are looked at."""
 ROUNDS, CONVERGED = 60, 1e-4
+
+
+def nearest(found: Iterable[int], index: int) -> list[int]:
+    """Return the frames in which the module was found that are compared with another frame."""
+    return sorted(found, key=lambda other: abs(other - index))[:NEIGHBOURS]
+
+
+def found_beside(
+    image: Image, others: Iterable[tuple[Image, Pose]], look: Callable[[Pose], T]
+) -> T:
+    """Find the module in a frame that shows a part of it, from frames in which it was found.
+
+    Parameters
+    ----------
+    image : (height, width) float32
+    others : iterable of ((height, width) float32, Pose)
+        Frames, and the pose of the module in each, the likeliest first.
+    look : callable
+        Finds the module from a pose that is right to a few pixels; raises OutlineError else.
+
+    Returns
+    -------
+    T
+        What `look` found first.
+
+    Raises
+    ------
+    OutlineError
+        If it found nothing.
+    """
+    reason: OutlineError | None = None
+    for reference, pose in others:
+        try:
+            for start in poses_in_other_frame(reference, image, pose):
+                try:
+                    return look(start)
+                except OutlineError as error:
+                    reason = reason or error
+        except OutlineError as error:
+            reason = reason or error
+    raise reason or OutlineError("no other frame shows the module")
 
 
 def poses_in_other_frame(reference: Image, image: Image, pose: Pose) -> Iterator[Pose]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator
+from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import suppress
 from functools import partial
 
@@ -16,10 +16,13 @@ from pv_inspect.detection.grid_of_a_part import grid_of_part
 from pv_inspect.detection.joined_views import (
     NO_PLACE,
     beside_others,
+    joined_picture,
+    lies_on,
     of_another_aspect,
     poses_together,
 )
 from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.overlapping_view import found_beside, nearest
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import Found, detect_in_frame
 from pv_inspect.geometry.layout import ModuleLayout
@@ -102,20 +105,58 @@ def found_together(
             reasons[k] = outcome
         else:
             found[k] = outcome
-    for k in of_another_aspect({k: one[0] for k, one in found.items()}):
-        del found[k]
-        reasons[k] = OutlineError(UNLIKE)
-    seen_at_last = {
-        k: part_of_module(sequence.frame(k).image, one[0], layout.cell_aspect)
-        for k, one in found.items()
-    }
-    for k in beside_others(seen_at_last):
-        del found[k]
-        reasons[k] = OutlineError(BESIDE)
+    checks: tuple[tuple[Callable[[], list[int]], str], ...] = (
+        (lambda: of_another_aspect({k: one.pose for k, one in found.items()}), UNLIKE),
+        (lambda: beside_others(_seen_at_last(sequence, layout, found)), BESIDE),
+    )
+    for unlike_others, why in checks:
+        for k in unlike_others():
+            del found[k]
+            reasons[k] = OutlineError(why)
     if len(found) < max(2, LEAST_SHARE_FOUND * len(poses)):
         first = next(str(reasons[k]) for k in poses if k in reasons)
         raise OutlineError(f"the grid of the whole does not lie on the parts ({first})")
+    for k, one in _found_from_others(sequence, layout, found, list(reasons)).items():
+        found[k] = one
+        del reasons[k]
     return found, reasons
+
+
+def _seen_at_last(
+    sequence: FrameSequence, layout: ModuleLayout, found: Mapping[int, Found]
+) -> dict[int, Part]:
+    return {
+        k: part_of_module(sequence.frame(k).image, one.pose, layout.cell_aspect)
+        for k, one in found.items()
+    }
+
+
+def _found_from_others(
+    sequence: FrameSequence, layout: ModuleLayout, found: Mapping[int, Found], left: list[int]
+) -> dict[int, Found]:
+    """Find the module in frames whose own grid was not seen, or was seen on busbars."""
+    together = joined_picture(_seen_at_last(sequence, layout, found))
+    poses = {k: one.pose for k, one in found.items()}
+
+    def look(index: int, start: Pose) -> Found:
+        image = sequence.frame(index).image
+        outcome = _detected(image, layout, start)
+        if isinstance(outcome, OutlineError):
+            raise outcome
+        if index in of_another_aspect({**poses, index: outcome.pose}):
+            raise OutlineError(UNLIKE)
+        if not lies_on(part_of_module(image, outcome.pose, layout.cell_aspect), together):
+            raise OutlineError(BESIDE)
+        return outcome
+
+    def search(index: int) -> Found | None:
+        others = ((sequence.frame(k).image, poses[k]) for k in nearest(poses, index))
+        with suppress(OutlineError):
+            return found_beside(sequence.frame(index).image, others, partial(look, index))
+        return None
+
+    outcomes = zip(left, parallel_map(search, left), strict=True)
+    return {k: one for k, one in outcomes if one is not None}
 
 
 def _detected(image: NDArray[np.float32], layout: ModuleLayout, pose: Pose) -> Found | OutlineError:

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, bright_area, plane_of
-from pv_inspect.geometry.layout import ModuleLayout
+from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, bright_area
 from pv_inspect.geometry.pose import Pose
 
 __all__ = ["SAMPLES", "Part", "laid_together", "part_of", "part_of_module"]
@@ -51,11 +50,10 @@ def part_of(image: Image, grid: GridOfPart, cell_aspect: float) -> Part:
     """See a frame through its grid."""
     height, width = image.shape
     pose = grid.pose
-    plane = plane_of(cell_aspect)
     cells = np.arange(2 * REACH + 1)
     x, y = (g.ravel() for g in np.meshgrid(cells + 0.5, cells + 0.5))
     pixels = np.nan_to_num(pose.project(np.column_stack([x, y / cell_aspect])), nan=-1e4)
-    margin = 1.0 * float(np.hypot(*np.ptp(pose.project(_corners(plane)), axis=0)))
+    margin = float(np.linalg.norm(pose.jacobian_amid(image.shape) / [1.0, cell_aspect]))
     near = np.all((pixels > -margin) & (pixels < [width + margin, height + margin]), axis=1)
     first = np.array([x[near].min(), y[near].min()]).astype(np.int64)
     n = np.array([x[near].max(), y[near].max()]).astype(np.int64) - first + 1
@@ -78,12 +76,6 @@ def part_of(image: Image, grid: GridOfPart, cell_aspect: float) -> Part:
         mean = np.nansum(of_cells, axis=(0, 2)) / np.maximum(count, 1)
     details = np.where(bright, relative - np.tile(mean, (n[1], n[0])), 0).astype(np.float32)
     return Part(pose, first, details, bright, inside)
-
-
-def _corners(plane: ModuleLayout) -> Array:
-    middle = np.array(plane.size) / 2
-    cell = np.array([1.0, 1.0 / plane.cell_aspect])
-    return np.array([middle - cell / 2, middle + cell / 2])
 
 
 def part_of_module(image: Image, pose: Pose, cell_aspect: float) -> Part:

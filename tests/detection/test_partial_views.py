@@ -11,9 +11,22 @@ import pytest
 from numpy.typing import NDArray
 
 from pv_inspect.common.work import result_of
-from pv_inspect.detection import partial_views
-from pv_inspect.detection.grid_of_a_part import REACH, GridOfPart, grid_of_part
-from pv_inspect.detection.joined_views import beside_others, of_another_aspect, poses_together
+from pv_inspect.detection import grid_of_a_part, partial_views
+from pv_inspect.detection.edges import cell_edges
+from pv_inspect.detection.grid_of_a_part import (
+    REACH,
+    GridOfPart,
+    bright_area,
+    grid_of_part,
+    plane_of,
+)
+from pv_inspect.detection.joined_views import (
+    beside_others,
+    joined_picture,
+    lies_on,
+    of_another_aspect,
+    poses_together,
+)
 from pv_inspect.detection.outline import OutlineError
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import detect_in_frame
@@ -79,6 +92,25 @@ def test_the_grid_of_a_part_is_found_up_to_a_shift() -> None:
     assert shown.mean() < 0.8
     assert np.ptp(places, axis=0).max() < 0.03
     assert np.abs(places - REACH).max() < 7
+
+
+def test_a_grid_that_a_wide_search_does_not_let_grow_is_grown_with_a_narrow_one(
+    monkeypatch: pytest.MonkeyPatch, frames: list[tuple[NDArray[np.float32], Pose]]
+) -> None:
+    grown = grid_of_a_part._grown
+
+    def with_busbars(*args: Any) -> GridOfPart:
+        if args[-1] > 0.1:
+            raise OutlineError("the borders between cells are not in place")
+        return grown(*args)
+
+    monkeypatch.setattr(grid_of_a_part, "_grown", with_busbars)
+    image, pose = frames[4]
+    start = _own_grid(pose, 28, 28).pose
+    edges = cell_edges(plane_of(1.0))
+    found = list(grid_of_a_part._grids(image, bright_area(image), edges, start, 1.0))
+    assert len(found) == 1
+    assert found[0][0].share > 0.9
 
 
 def test_grids_that_differ_by_whole_cells_are_put_together(
@@ -177,8 +209,49 @@ def test_a_frame_that_lies_beside_what_the_others_show_is_named(
     at_last = {k: part_of_module(image, pose, 1.0) for k, (image, pose) in enumerate(frames)}
     assert beside_others(at_last) == []
     image, pose = frames[1]
-    moved = Pose(pose.camera, pose.homography @ np.array([[1.0, 0, 0], [0, 1, 0.12], [0, 0, 1]]))
-    assert beside_others({**at_last, 1: part_of_module(image, moved, 1.0)}) == [1]
+    together = joined_picture({k: part for k, part in at_last.items() if k != 1})
+    assert lies_on(at_last[1], together)
+    for x, y in ((0, 0.12), (1, 0), (0, -1)):
+        moved = Pose(pose.camera, pose.homography @ [[1.0, 0, x], [0, 1, y], [0, 0, 1]])
+        part = part_of_module(image, moved, 1.0)
+        assert beside_others({**at_last, 1: part}) == [1]
+        assert not lies_on(part, together)
+
+
+def test_a_frame_is_seen_where_the_first_cells_lie_beyond_the_fold_of_the_lens(
+    frames: list[tuple[NDArray[np.float32], Pose]],
+) -> None:
+    image, pose = frames[1]
+    camera = Camera(pose.camera.K, -0.6)
+    moved = pose.homography @ [[1.0, 0, 10], [0, 1, 0], [0, 0, 1]]
+    assert not np.isfinite(Pose(camera, moved).project(np.zeros((1, 2)))).any()
+    seen = part_of_module(image, Pose(camera, moved), 1.0)
+    assert seen.inside.any()
+
+
+def test_a_frame_without_a_grid_of_its_own_is_found_from_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+    frames: list[tuple[NDArray[np.float32], Pose]],
+    parts: dict[int, Part],
+) -> None:
+    # Frame 1 has its grid a tenth of a cell too high, as on busbars beside the borders.
+    image, pose = frames[1]
+    higher = Pose(pose.camera, pose.homography @ np.diag([1.0, 1.1, 1.0]))
+    seen = {**parts, 1: part_of(image, _own_grid(higher, *SHIFTS[1]), 1.0)}
+    images = [image for image, _ in frames]
+
+    def part(image: NDArray[np.float32], cell_aspect: float) -> Part | OutlineError:
+        k = next(k for k, one in enumerate(images) if one is image)
+        return seen[k] if k != 4 else OutlineError("no grid of cells is seen")
+
+    monkeypatch.setattr(partial_views, "_seen", part)
+    numbered: Any = SimpleNamespace(frame=lambda k: SimpleNamespace(image=images[k]))
+    found, reasons = result_of(partial_views.found_together(numbered, LAYOUT, range(6)))
+    assert not reasons
+    shown = [pose.shows(LAYOUT.crossings(), images[0].shape) for _, pose in frames]
+    for k, (_, true) in enumerate(frames):
+        off = found[k].pose.project(LAYOUT.crossings()) - true.project(LAYOUT.crossings())
+        assert np.abs(off[shown[k]]).max() < 0.5
 
 
 def test_a_frame_whose_cells_are_of_another_aspect_is_named(
