@@ -29,6 +29,9 @@ from pv_inspect.photometry.fixed_pattern import without_slow_columns
 from pv_inspect.pipeline import inspect, inspect_steps
 from pv_inspect.reconstruction.reconstruction import Reconstruction
 from pv_inspect.results.camera_evidence import pooled_profile
+from pv_inspect.results.folder import RESULT_JSON
+from pv_inspect.results.read import read_result
+from pv_inspect.results.resume import resume
 from pv_inspect.results.write import write_result
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
@@ -67,7 +70,7 @@ def main() -> None:
     parser.add_argument("--sequences", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="number of the first camera")
     parser.add_argument("--images", action="store_true")
-    parser.add_argument("--keep", type=Path, help="new folder that sequences and results stay in")
+    parser.add_argument("--keep", type=Path, help="folder that sequences and results stay in")
     args = parser.parse_args()
     for number in range(args.first, args.first + args.cameras):
         with tempfile.TemporaryDirectory() as scratch:
@@ -84,10 +87,13 @@ def camera(number: int, count: int, images: bool, scratch: Path) -> None:
     for k in range(count):
         sequence, result = scratch / f"sequence_{k}", scratch / f"result_{k}"
         settings = sequence_of(true, 10_000 + 100 * number + k)
-        with reserve_sequence(sequence):
-            write_sequence(simulated(settings), sequence)
-        made = inspect(FrameSequence.open(sequence), PLAIN, progress=False)
-        write_result(made, result)
+        if (result / RESULT_JSON).is_file():
+            made = resume(read_result(result), FrameSequence.open(sequence))
+        else:
+            with reserve_sequence(sequence):
+                write_sequence(simulated(settings), sequence)
+            made = inspect(FrameSequence.open(sequence), PLAIN, progress=False)
+            write_result(made, result)
         results.append(result)
         runs.append(made)
         found = made.reconstruction

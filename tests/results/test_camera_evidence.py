@@ -85,6 +85,16 @@ def test_columns_are_pooled_and_another_camera_is_told(tmp_path: Path) -> None:
         pooled_profile(folders)
 
 
+def test_crossing_points_tell_kappa_where_no_lines_do(tmp_path: Path) -> None:
+    bare = {"principal_point_error_px": None, "kappa": -0.1, "kappa_error": 1e-4}
+    points = written_result(tmp_path / "points", camera=bare)
+    lines = written_result(tmp_path / "lines")
+    for folders, kappa in (([points, lines], -0.2), ([points], -0.1)):
+        lens = pooled_profile(folders).lens
+        assert lens is not None
+        assert lens.kappa == pytest.approx(kappa)
+
+
 def test_what_was_given_is_no_evidence(tmp_path: Path) -> None:
     given = {"error_lr_px": 0.0, "evidence": "given"}
     profile = pooled_profile(
