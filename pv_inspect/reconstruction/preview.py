@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass, replace
 
-import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from pv_inspect.photometry.photometry import huber_weights, observed
 from pv_inspect.reconstruction.held_out import View, seen_part
 from pv_inspect.reconstruction.in_use import values_in_use
 from pv_inspect.reconstruction.reconstruction import Reconstruction, brightness_of
+from pv_inspect.reconstruction.resampling import resampled
 from pv_inspect.reconstruction.solver import Problem, minimise
 from pv_inspect.registration.module_mean import module_mean
 from pv_inspect.registration.registration import Registration
@@ -278,19 +278,4 @@ class Preview:
 
     def _known_on(self, grid: HrGrid) -> Image:
         """What is known of the whole module, on a grid."""
-        known = self._known_grid
-        # Pixels of the known image under the first pixels of the grid, and their pitch.
-        x, y = known.to_pixels(grid.to_module(np.zeros(2)))
-        pitch = known.pixels_per_unit / grid.pixels_per_unit
-        height, width = grid.shape
-        if pitch == 1.0:
-            left, top = round(x), round(y)
-            return self._known[top : top + height, left : left + width].copy()
-        placed = cv2.warpAffine(
-            self._known,
-            np.array([[pitch, 0.0, x], [0.0, pitch, y]]),
-            (width, height),
-            flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        return np.asarray(placed, np.float32)
+        return resampled(self._known, self._known_grid, grid)

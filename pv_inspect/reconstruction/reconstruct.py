@@ -44,6 +44,7 @@ from pv_inspect.reconstruction.psf_evidence import (
     without_contradicted,
 )
 from pv_inspect.reconstruction.reconstruction import NO_CURVE, Curve, Reconstruction, brightness_of
+from pv_inspect.reconstruction.resampling import resampled
 from pv_inspect.reconstruction.sampling import between, of_more_than_one, sampling_of
 from pv_inspect.reconstruction.solver import Problem, Solution, first_guess, minimise
 from pv_inspect.reconstruction.support import FAINT, support_of
@@ -60,8 +61,9 @@ Image = NDArray[np.float32]
 _TYPICAL_STEPS = 15.0
 # Solver steps to the module image that the sensor is judged by.
 _DRAFT_STEPS = 10
-# A finer one takes a third more steps for less than 0.05 dB.
-_TOLERANCE = 1.5e-3
+# Beyond one cycle per LR pixel next to nothing passes the aperture: two HR pixels per LR pixel tell
+# what the frames should show.
+_DRAFT_MAGNIFICATION = 2.0
 
 
 def reconstruct(
@@ -114,8 +116,10 @@ def reconstruct(
     draft: Image | None = None
     if settings.second_pass:
         assumed = values_in_use(settings).psf_sigma_lr_px
-        first = Accumulation.begin(sequence, registration, grid, rays, assumed, motion, photometry)
-        photometry, draft = yield from _draft(first, used, settings)
+        coarse = min(settings.magnification, _DRAFT_MAGNIFICATION)
+        seen = HrGrid.covering(registration.layout, registration.lr_px_per_unit, coarse)
+        first = Accumulation.begin(sequence, registration, seen, rays, assumed, motion, photometry)
+        photometry, draft = yield from _draft(first, used, settings, grid)
         del first
         release()
     sampling = sampling_of(registration, sequence.shape)
@@ -180,7 +184,7 @@ def solve(
     sigma = equations.model.psf_sigma_lr_px
     problem = Problem(equations, prior_weight, brightness_of(start, grid), settings.prior)
     told = f"PSF sigma {sigma:.2f} LR px, lambda {prior_weight:.2g}"
-    solver = minimise(problem, start, settings.max_iterations, _TOLERANCE, spectral=True)
+    solver = minimise(problem, start, settings.max_iterations, spectral=True)
 
     def solving(state: Solution) -> Progress:
         share = 1 - np.exp(-state.iterations / _TYPICAL_STEPS)
@@ -249,11 +253,11 @@ def _all_added(
 
 
 def _draft(
-    data: Accumulation, frames: NDArray[np.intp], settings: Settings
+    data: Accumulation, frames: NDArray[np.intp], settings: Settings, grid: HrGrid
 ) -> Generator[Progress, None, tuple[Photometry, Image]]:
     """Look at the module once to learn what the sensor does.
 
-    Returns what it does, and the image as it is without the vignetting.
+    Returns what it does, and the image, on a grid, as it is without the vignetting.
     """
     model, registration = data.equations.model, data.registration
     yield from _all_added(data, frames, [], 0.05, 0.12)
@@ -264,13 +268,15 @@ def _draft(
     draft = start
     for step, state in enumerate(minimise(problem, start, _DRAFT_STEPS)):
         draft = np.asarray(state.image, np.float32)
-        yield Progress(0.12 + 0.08 * step / _DRAFT_STEPS, "a first image of the module", draft)
+        shown = resampled(draft, model.grid, grid)
+        yield Progress(0.12 + 0.08 * step / _DRAFT_STEPS, "a first image of the module", shown)
     known = data.photometry
     steps = estimate_photometry(data.sequence, registration, model, draft, data.motion, known)
     photometry = yield from forwarded(
         steps, lambda share: Progress(0.2 + 0.05 * share, "telling the sensor from the scene")
     )
-    return photometry, draft / mean_illumination(photometry, registration, model, known)
+    draft = draft / mean_illumination(photometry, registration, model, known)
+    return photometry, resampled(draft, model.grid, grid)
 
 
 def _need_pixels(data: Accumulation) -> None:
