@@ -1,4 +1,4 @@
-"""The command line: ``pv-inspect run | calibrate | cracks | review | simulate | gui``."""
+"""The command line: ``pv-inspect run | compare | calibrate | cracks | review | simulate | gui``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from pv_inspect.cli.common import (
     one_sentence_on_errors,
     with_settings,
 )
+from pv_inspect.cli.compare import compare
 from pv_inspect.cli.run import WORDS, run
 from pv_inspect.cli.simulate import simulate
 from pv_inspect.settings import Settings
@@ -116,6 +117,7 @@ def review(
 
 
 app.command()(calibrate)
+app.command()(compare)
 app.command()(simulate)
 
 

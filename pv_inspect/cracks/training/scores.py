@@ -53,13 +53,17 @@ class CoarseScore:
     ----------
     ap, f1, level : float
         Of the blocks: average precision, F1 at ``level``.
+    precision, recall : float
+        Of the blocks at ``level``; precision is 1 where none is called a crack.
     instance_precision, instance_recall, instance_f1 : float
-        Of connected groups of blocks at ``level``; found if at least one block overlaps.
+        Of 8-connected groups of blocks at ``level``; found if at least one block overlaps.
     """
 
     ap: float
     f1: float
     level: float
+    precision: float
+    recall: float
     instance_precision: float
     instance_recall: float
     instance_f1: float
@@ -166,10 +170,17 @@ def coarse_score(
     cut = float(levels[best])
     counts = np.sum([_instances(p >= cut, m) for p, m in zip(maps, masks, strict=True)], axis=0)
     n_found, n_right, n_true, n_hit = (int(count) for count in counts)
-    precision, recall = n_right / max(n_found, 1), n_hit / max(n_true, 1)
-    f1 = 2 * precision * recall / max(precision + recall, 1e-9)
+    groups = n_right / n_found if n_found else 1.0, n_hit / max(n_true, 1)
+    called = score >= cut
+    right, n_called = int((called & truth).sum()), int(called.sum())
     return CoarseScore(
-        average_precision(score, truth), float(f1s[best]), cut, precision, recall, f1
+        average_precision(score, truth),
+        float(f1s[best]),
+        cut,
+        right / n_called if n_called else 1.0,
+        right / max(int(truth.sum()), 1),
+        *groups,
+        2 * groups[0] * groups[1] / max(sum(groups), 1e-9),
     )
 
 

@@ -1,0 +1,134 @@
+"""The surroundings of a cell in one frame, for methods that enlarge frames before rectification."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.evaluation.case import Case, Cell
+
+__all__ = ["FramePatch", "UnitScale", "resampled"]
+
+Image = NDArray[np.float32]
+Points = NDArray[np.float64]
+
+# LR pixels around the cell: the receptive field of SRCNN is 8, larger networks want more.
+_MARGIN_PX = 12
+
+
+@dataclass(frozen=True, eq=False)
+class UnitScale:
+    """An image scaled to 0 to 1 for a network, and the way back.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+        In [0, 1].
+    black, white : float
+        What became 0 and 1.
+    """
+
+    image: Image
+    black: float
+    white: float
+
+    def back(self, image: Image) -> Image:
+        """Return an image of the network on the scale of the frame."""
+        return np.asarray(image * (self.white - self.black) + self.black, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class FramePatch:
+    """A rectangle of a frame that holds a cell.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+        Module's intensity scale.
+    corner_px : (x, y)
+        Frame pixel of its first pixel.
+    target_px : (H, W, 2) float64
+        Where the pixels of the cell on the HR grid lie in the frame, LR px.
+    white : float
+        The 99.9 percentile of the frame, module's intensity scale.
+    """
+
+    image: Image
+    corner_px: tuple[int, int]
+    target_px: Points
+    white: float
+
+    @classmethod
+    def around(cls, case: Case, cell: Cell, frame: int) -> FramePatch:
+        """Cut the surroundings of a cell out of a frame.
+
+        Parameters
+        ----------
+        case : Case
+        cell : (row, col)
+        frame : int
+        """
+        registration = case.registration
+        rows, cols = case.grid.cell_slices(*cell)
+        y, x = np.mgrid[rows, cols].astype(np.float64)
+        at = case.grid.to_module(np.stack([x, y], axis=-1))
+        target = registration.camera.project(registration.homographies[frame], at)
+        whole = case.sequence.frame(frame).image
+        whole = (whole - registration.offset[frame]) / registration.gain[frame]
+        height, width = whole.shape
+        low = np.floor(np.nanmin(target, axis=(0, 1))).astype(int) - _MARGIN_PX
+        high = np.ceil(np.nanmax(target, axis=(0, 1))).astype(int) + _MARGIN_PX + 1
+        x0, y0 = (max(int(v), 0) for v in low)
+        x1, y1 = min(int(high[0]), width), min(int(high[1]), height)
+        image = np.ascontiguousarray(whole[y0:y1, x0:x1], np.float32)
+        return cls(image, (x0, y0), target, float(np.percentile(whole, 99.9)))
+
+    def scaled_to_unit(self) -> UnitScale:
+        """Scale black to 0 and the 99.9 percentile of the frame to 1, with what is beyond cut."""
+        white = max(self.white, 1e-6)
+        return UnitScale(np.clip(self.image / np.float32(white), 0, 1), 0.0, white)
+
+    def within(self, shape: tuple[int, int]) -> FramePatch:
+        """Return the patch mirrored at its ends to at least a shape, for networks that need it."""
+        rows, cols = (max(n - have, 0) for n, have in zip(shape, self.image.shape, strict=True))
+        padded = cv2.copyMakeBorder(self.image, 0, rows, 0, cols, cv2.BORDER_REFLECT_101)
+        return replace(self, image=np.asarray(padded, np.float32))
+
+    def rectified(self, enlarged: Image, scale: int) -> Image:
+        """Sample the enlarged patch at the pixels of the cell, by cubic interpolation.
+
+        Parameters
+        ----------
+        enlarged : (scale * h, scale * w) float32
+            Pixel u covers what lies between (u / scale) and ((u + 1) / scale) of a patch pixel.
+        scale : int
+
+        Returns
+        -------
+        (H, W) float32
+        """
+        inside = self.target_px - np.asarray(self.corner_px, np.float64)
+        return resampled(enlarged, scale * (inside + 0.5) - 0.5)
+
+
+def resampled(image: Image, points: Points) -> Image:
+    """Sample an image by cubic interpolation; beyond its ends the last pixels go on.
+
+    Parameters
+    ----------
+    image : (h, w) float32
+    points : (H, W, 2) float64
+        Positions (x, y) in it, px.
+
+    Returns
+    -------
+    (H, W) float32
+    """
+    at = np.nan_to_num(points, nan=-10.0).astype(np.float32)
+    found = cv2.remap(
+        image, at[..., 0], at[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(found, np.float32)

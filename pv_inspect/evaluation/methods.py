@@ -1,0 +1,221 @@
+"""The methods that are compared, behind one interface (paper, Sec. IV-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pv_inspect.common.work import Progress, forwarded
+from pv_inspect.errors import InspectionError
+from pv_inspect.evaluation.case import Case, Cell
+from pv_inspect.evaluation.drizzling import drizzled
+from pv_inspect.evaluation.frame_patches import FramePatch, resampled
+from pv_inspect.evaluation.srcnn import srcnn
+from pv_inspect.geometry.grid import HrGrid
+from pv_inspect.reconstruction.prior import PriorName
+from pv_inspect.reconstruction.reconstruct import reconstruct
+from pv_inspect.reconstruction.single_frame import bicubic
+from pv_inspect.registration.homography import register_by_homography
+from pv_inspect.registration.registration import Registration
+
+__all__ = ["METHODS", "CellImages", "Method", "methods_named"]
+
+Image = NDArray[np.float32]
+CellImages = Generator[Progress | tuple[Cell, Image], None, None]
+"""Progress, and every cell with its image on the case's grid as soon as it is made."""
+
+
+class Method(Protocol):
+    """A way to make HR images of cells from the frames of a case."""
+
+    @property
+    def name(self) -> str:
+        """Name of the row."""
+
+    @property
+    def frames(self) -> Literal["one", "all"]:
+        """Whether a cell is made from one frame or from all."""
+
+    @property
+    def cell_by_cell(self) -> bool:
+        """Whether each cell is made on its own, so that a cut run can go on with the next one."""
+
+    @property
+    def note(self) -> str:
+        """What it is, and how the intensity is scaled for it: a sentence for the table."""
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Make the images of some cells, in their order; closing the generator cancels.
+
+        Raises
+        ------
+        InspectionError
+            If the method can't be used: what is missing, or why it fails on these frames.
+        """
+
+
+@dataclass(frozen=True)
+class Bicubic:
+    """One frame, rectified by bicubic interpolation."""
+
+    name: str = "BICUBIC"
+    frames: Literal["one", "all"] = "one"
+    cell_by_cell: bool = True
+    note: str = "one frame, rectified with our geometry by bicubic interpolation"
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Rectify the frame of each cell."""
+        whole: dict[int, Image] = {}
+        for cell in cells:
+            frame = case.frame_of(cell)
+            if frame not in whole:
+                whole[frame] = bicubic(case.sequence, case.registration, case.grid, frame)
+            yield cell, whole[frame][case.grid.cell_slices(*cell)]
+
+
+@dataclass(frozen=True)
+class MeanOfFrames:
+    """All frames, each rectified by bicubic interpolation, averaged."""
+
+    name: str = "MEAN"
+    frames: Literal["one", "all"] = "all"
+    cell_by_cell: bool = False
+    note: str = "mean of all frames, each rectified with our geometry by bicubic interpolation"
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Average the frames; a pixel counts the frames that see it."""
+        registration, grid = case.registration, case.grid
+        total, seen = np.zeros(grid.shape), np.zeros(grid.shape)
+        used = np.flatnonzero(registration.used)
+        for k, frame in enumerate(used, start=1):
+            one = bicubic(case.sequence, registration, grid, int(frame))
+            total += one
+            seen += one != 0
+            yield Progress(k / used.size, f"rectifying frame {k} of {used.size}")
+        yield from _cut(np.asarray(total / np.maximum(seen, 1), np.float32), grid, cells)
+
+
+@dataclass(frozen=True)
+class Drizzle:
+    """Drizzle (Fruchter and Hook 2002), as the package ``drizzle`` has it."""
+
+    name: str = "DRIZZLE"
+    frames: Literal["one", "all"] = "all"
+    cell_by_cell: bool = False
+    note: str = "package drizzle with our geometry, square kernel; no deconvolution"
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Drop the pixels of all frames onto the grid."""
+        image = yield from drizzled(case)
+        yield from _cut(image, case.grid, cells)
+
+
+@dataclass(frozen=True)
+class Ours:
+    """The method of this project, with a prior and a way of registration."""
+
+    name: str
+    note: str
+    prior: PriorName
+    homography: bool = False
+    frames: Literal["one", "all"] = "all"
+    cell_by_cell: bool = False
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Reconstruct the module."""
+        settings = case.settings.changed(prior=self.prior, prior_weight=None)
+        registration: Registration = case.registration
+        if self.homography:
+            settings = settings.changed(registration_model="homography")
+            aligning = register_by_homography(
+                case.sequence, case.crossings, settings, case.calibration
+            )
+            registration = yield from forwarded(
+                aligning, lambda told: replace(told, fraction=0.5 * told.fraction)
+            )
+        made = yield from forwarded(
+            reconstruct(case.sequence, registration, settings),
+            lambda told: replace(told, image=None),
+        )
+        for cell in cells:
+            yield cell, _on_cell(made.image, made.grid, case.grid, cell)
+
+
+@dataclass(frozen=True)
+class Srcnn:
+    """SRCNN (Dong et al. 2016) on one frame; weights of 3x by its authors."""
+
+    name: str = "SRCNN"
+    frames: Literal["one", "all"] = "one"
+    cell_by_cell: bool = True
+    note: str = (
+        "9-5-5, published weights for 3x, one frame enlarged by bicubic interpolation to the scale "
+        "of the grid, then rectified; 0 to 1 is black to the 99.9 percentile of the frame"
+    )
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Enlarge the surroundings of each cell in its frame, and rectify the result."""
+        scale = max(round(case.grid.magnification), 1)
+        for cell in cells:
+            patch = FramePatch.around(case, cell, case.frame_of(cell))
+            unit = patch.scaled_to_unit()
+            yield cell, patch.rectified(unit.back(srcnn(unit.image, scale)), scale)
+
+
+def _cut(image: Image, grid: HrGrid, cells: Sequence[Cell]) -> CellImages:
+    for cell in cells:
+        yield cell, image[grid.cell_slices(*cell)]
+
+
+def _on_cell(image: Image, own: HrGrid, grid: HrGrid, cell: Cell) -> Image:
+    """Cut a cell out of an image that may lie on another grid of the same module."""
+    if own == grid:
+        return image[grid.cell_slices(*cell)]
+    rows, cols = grid.cell_slices(*cell)
+    y, x = np.mgrid[rows, cols].astype(np.float64)
+    return resampled(image, own.to_pixels(grid.to_module(np.stack([x, y], axis=-1))))
+
+
+METHODS: tuple[Method, ...] = (
+    Bicubic(),
+    MeanOfFrames(),
+    Drizzle(),
+    Srcnn(),
+    Ours(
+        "OURS-H",
+        "homographies between frames (ECC) instead of one camera, no lens distortion",
+        "learned",
+        homography=True,
+    ),
+    Ours("WBTV", "our geometry with the paper's own prior", "wbtv"),
+    Ours("OURS-P", "our geometry and our prior", "learned"),
+)
+"""All methods, in the order of the table."""
+
+
+def methods_named(names: Sequence[str]) -> list[Method]:
+    """Return the methods of some names, in the order of the table.
+
+    Parameters
+    ----------
+    names : sequence of str
+        In upper or lower case; all methods if empty.
+
+    Raises
+    ------
+    InspectionError
+        If there is no method of a name.
+    """
+    known = {method.name.lower(): method for method in METHODS}
+    wanted = [name.strip().lower() for name in names]
+    for name in wanted:
+        if name not in known:
+            raise InspectionError(
+                f"There is no method {name!r}: choose among "
+                f"{', '.join(method.name for method in METHODS)}."
+            )
+    return [m for m in METHODS if not wanted or m.name.lower() in wanted]
