@@ -237,12 +237,12 @@ def _module(
     ends = np.array([_ends(largest), _ends(largest.T)])
     cols, rows = ((ends[:, 1] - ends[:, 0]) / SAMPLES).round().astype(int).tolist()
     together = f"{SHOWN_TOGETHER} {rows} rows x {cols} columns"
-    if np.abs(ends[:, 1] - ends[:, 0] - SAMPLES * np.array([cols, rows])).max() > UNEVEN_ENDS:
-        raise OutlineError(f"{together} and parts of cells")
     box = *ends[:, 0].round().astype(int).tolist(), *(ends[:, 1].round().astype(int).tolist())
     sides = _open_sides(bright, seen > 0, box)
     if sides:
         raise OutlineError(f"{together}, and not where the module ends {' and '.join(sides)}")
+    if np.abs(ends[:, 1] - ends[:, 0] - SAMPLES * np.array([cols, rows])).max() > UNEVEN_ENDS:
+        raise OutlineError(f"{together} and parts of cells")
     hidden = 1 - (seen[box[1] : box[3], box[0] : box[2]] > 0).mean()
     if hidden > MOST_HIDDEN:
         raise OutlineError(f"{together}, but {100 * hidden:.0f} % of this are in no frame")

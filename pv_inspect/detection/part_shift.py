@@ -21,6 +21,10 @@ CLEARER = 0.2
 """By so much a shift must correlate better than any that differs by more than `APART` cells."""
 BY_CHANCE = 0.5
 """Correlation of one cell with another by chance; of n cells it is less by the root of n."""
+MOST_CONTRADICTED = 0.2
+"""Cells that may be lit in one picture and dark in the other, their rims left out: where a module
+ends, it ends in every frame."""
+RIM = np.ones((3, 3), np.uint8)
 APART = 0.5
 ASIDE = 0.05
 """Cells by which pictures may fit best beside where they should: the grids are right to 0.01."""
@@ -48,13 +52,14 @@ def shift_between(one: Part, other: Part, whole_cells: bool = False) -> tuple[Ar
         return None
     score, shape = scores, scores.shape
     rows, cols = (np.arange(size) for size in shape)
-    allowed = score
+    possible = np.where(_contradicted(one, other, shape), -1.0, score)
+    allowed = possible
     if whole_cells:
         aside = [
             _aside(v, size, n)
             for v, size, n in zip((rows, cols), shape, one.details.shape, strict=True)
         ]
-        allowed = np.where((aside[0] > 0)[:, None] | (aside[1] > 0)[None], -1.0, score)
+        allowed = np.where((aside[0] > 0)[:, None] | (aside[1] > 0)[None], -1.0, possible)
     row, col = (int(v) for v in np.unravel_index(int(allowed.argmax()), score.shape))
     best = float(allowed[row, col])
     # Shifts wrap around: the other part may begin before this one.
@@ -63,7 +68,7 @@ def shift_between(one: Part, other: Part, whole_cells: bool = False) -> tuple[Ar
         for v, at, s in ((rows, row, shape[0]), (cols, col, shape[1]))
     )
     away = np.maximum(dy[:, None], dx[None]) > APART * SAMPLES
-    second = float(allowed[away].max())
+    second = float(allowed[away].max(initial=-1.0))
     if best < LEAST_CORRELATION or best - second < CLEARER:
         return None
     peak = _peak(score, row, col)
@@ -115,6 +120,18 @@ def off_cells(one: Part, other: Part) -> float | None:
     if not score[row % score.shape[0], col % score.shape[1]] > -1.0:
         return None
     return float(np.abs(_peak(score, int(row), int(col))).max()) / SAMPLES
+
+
+def _contradicted(one: Part, other: Part, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Whether one picture is lit where the other is dark, for all shifts, which wrap around."""
+
+    def spectra(part: Part) -> list[Array]:
+        masks = (cv2.erode(mask.astype(np.uint8), RIM) for mask in (part.bright, part.dark))
+        return [np.asarray(np.fft.rfft2(mask, shape)) for mask in masks]
+
+    (lit, dark), (other_lit, other_dark) = spectra(one), spectra(other)
+    both = np.fft.irfft2(lit * np.conj(other_dark) + dark * np.conj(other_lit), shape)
+    return np.asarray(both > MOST_CONTRADICTED * SAMPLES**2)
 
 
 def _scores(one: Part, other: Part) -> Array | None:

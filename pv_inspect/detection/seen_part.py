@@ -21,6 +21,9 @@ Mask = NDArray[np.bool_]
 SAMPLES = 12
 """Per cell, of the pictures that are compared."""
 CLIP = 0.6
+DARK = 0.12
+"""Share of the usual light below which a place is none of the module. What is bright has 0.25 at
+least, so that a dim cell that is bright in one frame is not dark in another."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +38,15 @@ class Part:
         Cell (x, y) of that plane at which the pictures begin.
     details : (h, w) float32
         `SAMPLES` per cell: how the light differs from the mean cell.
-    bright, inside : (h, w) bool
-        Whether a place is lit, and whether the frame shows it.
+    bright, dark, inside : (h, w) bool
+        Whether a place is lit, or without any light, and whether the frame shows it.
     """
 
     pose: Pose
     first: NDArray[np.int64]
     details: Image
     bright: Mask
+    dark: Mask
     inside: Mask
 
 
@@ -75,7 +79,8 @@ def part_of(image: Image, grid: GridOfPart, cell_aspect: float) -> Part:
         count = np.isfinite(of_cells).sum(axis=(0, 2))
         mean = np.nansum(of_cells, axis=(0, 2)) / np.maximum(count, 1)
     details = np.where(bright, relative - np.tile(mean, (n[1], n[0])), 0).astype(np.float32)
-    return Part(pose, first, details, bright, inside)
+    dark = inside & ~bright & (seen < DARK * usual)
+    return Part(pose, first, details, bright, dark, inside)
 
 
 def part_of_module(image: Image, pose: Pose, cell_aspect: float) -> Part:
@@ -100,13 +105,14 @@ def laid_together(parts: Mapping[int, Part], group: Mapping[int, Array]) -> Part
     low = np.floor(np.min(list(begin.values()), axis=0) / SAMPLES).astype(np.int64)
     begin = {k: at - low * SAMPLES for k, at in begin.items()}
     size = np.max([at + parts[k].details.shape[::-1] for k, at in begin.items()], axis=0)
-    total, lit, seen = (np.zeros(size[::-1], np.float32) for _ in range(3))
+    total, lit, unlit, seen = (np.zeros(size[::-1], np.float32) for _ in range(4))
     for k, (x, y) in begin.items():
         part = parts[k]
         place = np.s_[y : y + part.details.shape[0], x : x + part.details.shape[1]]
         total[place] += part.details
         lit[place] += part.bright
+        unlit[place] += part.dark
         seen[place] += part.inside
     pose = parts[next(iter(group))].pose
     details = np.asarray(total / np.maximum(lit, 1), np.float32)
-    return Part(pose, low, details, 2 * lit > seen, seen > 0)
+    return Part(pose, low, details, 2 * lit > seen, 2 * unlit > seen, seen > 0)

@@ -28,6 +28,7 @@ from pv_inspect.detection.joined_views import (
     poses_together,
 )
 from pv_inspect.detection.outline import OutlineError
+from pv_inspect.detection.part_shift import shift_between
 from pv_inspect.detection.seen_part import Part, part_of, part_of_module
 from pv_inspect.detection.single_frame import detect_in_frame
 from pv_inspect.geometry.camera import Camera
@@ -168,7 +169,9 @@ def _windows(places: list[tuple[int, int]], rows: int, cols: int) -> dict[int, P
     for k, (row, col) in enumerate(places):
         window = np.s_[12 * row : 12 * (row + rows), 12 * col : 12 * (col + cols)]
         seen = bright[window]
-        parts[k] = Part(pose, np.zeros(2, np.int64), details[window], seen, np.ones_like(seen))
+        parts[k] = Part(
+            pose, np.zeros(2, np.int64), details[window], seen, ~seen, np.ones_like(seen)
+        )
     return parts
 
 
@@ -179,6 +182,20 @@ def test_lines_of_views_overlap_by_more_than_two_of_their_frames() -> None:
     assert [pose.homography[:2, 2].round(6).tolist() for pose in poses.values()] == [
         [1 - x, 1 - y] for y in (0, 3) for x in (0, 2, 4)
     ]
+
+
+def test_where_the_module_ends_tells_cells_that_look_alike_apart() -> None:
+    # All columns look the same: only the dark beside the outer ones says which they are.
+    parts = _windows([(0, 0), (3, 0)], 4, 8)
+    alike = {
+        k: replace(p, details=np.where(p.bright, np.tile(p.details[:, 12:24], (1, 8)), 0))
+        for k, p in parts.items()
+    }
+    shift = shift_between(alike[0], alike[1], whole_cells=True)
+    assert shift is not None
+    assert shift[0].tolist() == [0, 3]
+    nowhere = {k: replace(p, dark=np.zeros_like(p.dark)) for k, p in alike.items()}
+    assert shift_between(nowhere[0], nowhere[1], whole_cells=True) is None
 
 
 def test_cells_that_were_seen_two_by_two_are_halved(
