@@ -8,9 +8,10 @@ from pv_inspect.registration.registration import Registration
 
 __all__ = ["unseen_sentence"]
 
-LEAST_UNSEEN = 0.1
-"""Share of a cell. A module that fills its frames to the edge is missing up to some hundredths."""
+RIM = 0.06
+"""Cells. A module that fills its frames to the edge is missing up to some hundredths there."""
 SAMPLES = 10
+"""Along the side of a cell: each must be seen, for a corner may be all that is missing."""
 NAMED = 3
 
 
@@ -24,7 +25,7 @@ def unseen_sentence(registration: Registration, shape: tuple[int, int]) -> str:
         (height, width) of a frame.
     """
     layout = registration.layout
-    at = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
+    at = np.linspace(RIM - 0.5, 0.5 - RIM, SAMPLES)
     x, y = (a.ravel() for a in np.meshgrid(at, at))
     width, height = (a.ravel()[:, None] for a in np.meshgrid(layout.widths, layout.heights))
     points = layout.cell_centres()[:, None] + np.stack([x * width, y * height], axis=-1)
@@ -34,7 +35,7 @@ def unseen_sentence(registration: Registration, shape: tuple[int, int]) -> str:
         px = registration.camera.project(registration.homographies[i], points.reshape(-1, 2))
         inside = np.isfinite(px) & (px >= 0) & (px <= end)
         seen |= inside.all(axis=1).reshape(seen.shape)
-    missing = np.flatnonzero((~seen).mean(axis=1) > LEAST_UNSEEN)
+    missing = np.flatnonzero(~seen.all(axis=1))
     if not missing.size:
         return ""
     named = ", ".join(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pv_inspect.geometry.camera import Camera
@@ -34,3 +36,13 @@ def test_cells_that_no_frame_in_use_shows_are_named() -> None:
 
 def test_a_module_that_runs_a_little_over_the_edge_is_seen() -> None:
     assert unseen_sentence(_frames(0.05, 1.45, used=(True, True)), (197, 260)) == ""
+
+
+def test_a_missing_corner_of_a_cell_is_named() -> None:
+    frames = _frames(0.0, 0.0, used=(True, True))
+    turned = frames.homographies.copy()
+    turned[:, 0, 1] = [0.0, 0.06]
+    one = replace(frames, homographies=turned[1:], used=np.array([True]), why=("",))
+    assert unseen_sentence(one, (201, 401)).startswith("1 cell is in no frame")
+    both = replace(frames, homographies=turned)
+    assert unseen_sentence(both, (201, 401)) == ""
