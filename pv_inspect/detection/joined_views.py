@@ -235,13 +235,14 @@ def _module(
     largest = labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
     # Outer borders say where cells begin even if busbars were taken for the borders inside.
     ends = np.array([_ends(largest), _ends(largest.T)])
-    cols, rows = ((ends[:, 1] - ends[:, 0]) / SAMPLES).round().astype(int).tolist()
+    spans = ends[:, 1] - ends[:, 0]
+    cols, rows = ((spans + UNEVEN_ENDS) // SAMPLES).astype(int).tolist()
     together = f"{SHOWN_TOGETHER} {rows} rows x {cols} columns"
     box = *ends[:, 0].round().astype(int).tolist(), *(ends[:, 1].round().astype(int).tolist())
     sides = _open_sides(bright, seen > 0, box)
     if sides:
         raise OutlineError(f"{together}, and not where the module ends {' and '.join(sides)}")
-    if np.abs(ends[:, 1] - ends[:, 0] - SAMPLES * np.array([cols, rows])).max() > UNEVEN_ENDS:
+    if np.abs(spans - SAMPLES * np.array([cols, rows])).max() > UNEVEN_ENDS:
         raise OutlineError(f"{together} and parts of cells")
     hidden = 1 - (seen[box[1] : box[3], box[0] : box[2]] > 0).mean()
     if hidden > MOST_HIDDEN:
