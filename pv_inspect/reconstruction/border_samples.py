@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pv_inspect.common.parallel import parallel_map
 from pv_inspect.geometry.layout import ModuleLayout
 from pv_inspect.geometry.rays import SensorRays
 from pv_inspect.photometry.photometry import Photometry, observed
@@ -104,18 +105,20 @@ def border_samples(
     motion : (n_frames, 2) float64
         Of all frames of the sequence.
     """
-    found: list[BorderSamples] = []
     scale = registration.lr_px_per_unit
-    for k, i in enumerate(frames):
-        g, weights = observed(sequence, registration, int(i), photometry)
+
+    def samples_of(number: int) -> BorderSamples:
+        i = int(frames[number])
+        g, weights = observed(sequence, registration, i, photometry)
         to_module = np.linalg.inv(registration.homographies[i])
         seen: list[BorderSamples] = []
         for start in range(0, g.shape[0], _STRIP):
             part = (slice(start, start + _STRIP), slice(None))
-            frame = _Frame(k, g[part], weights[part] > 0, rays.cut(part), to_module, motion[i])
+            frame = _Frame(number, g[part], weights[part] > 0, rays.cut(part), to_module, motion[i])
             seen += frame.samples(registration.layout, scale)
-        found.append(_thinned(_joined(seen)))
-    return _joined(found)
+        return _thinned(_joined(seen))
+
+    return _joined(parallel_map(samples_of, range(len(frames))))
 
 
 @dataclass(frozen=True, eq=False)
