@@ -1,6 +1,11 @@
 """Time, memory and quality of `pv-inspect run`, each run in a process of its own.
 
     python benchmarks/end_to_end.py SEQUENCE... [--magnification 4] [--threads 2] [--score SCORER]
+        [--peers]
+
+``--peers`` runs two others on the same frames right after: drizzle with our geometry (the package
+`drizzle`, no deconvolution, no cracks), and ours with the paper's prior, WBTV. Machines and their
+load differ; the ratios to these tell more than seconds.
 
 SCORER is called as `python SCORER SEQUENCE RESULT` and prints JSON with `geometry` and `hr`; it is
 used where the sequence has a truth/ folder.
@@ -59,15 +64,42 @@ def timed(command: list[str]) -> Cost:
     )
 
 
-def measured(sequence: Path, options: argparse.Namespace, out: Path) -> Row:
+# Geometry and drizzle, in a process of their own like a run.
+_DRIZZLE = """
+import sys
+from pathlib import Path
+import numpy as np
+from pv_inspect.common.work import result_of
+from pv_inspect.evaluation.case import prepared
+from pv_inspect.evaluation.drizzling import drizzled
+from pv_inspect.sequence.sequence import FrameSequence
+from pv_inspect.settings import Settings
+sequence, out, magnification = sys.argv[1:]
+case = result_of(prepared(FrameSequence.open(sequence), Settings(magnification=magnification)))
+np.save(out, result_of(drizzled(case)))
+"""
+
+
+def drizzle(sequence: Path, options: argparse.Namespace, out: Path) -> Row:
+    """Find the geometry and drizzle."""
+    arguments = [str(sequence), f"{out}.npy", str(options.magnification)]
+    cost = timed([sys.executable, "-c", _DRIZZLE, *arguments])
+    return Row(f"{sequence.name}, drizzle", cost)
+
+
+def measured(
+    sequence: Path, options: argparse.Namespace, out: Path, prior: str | None = None
+) -> Row:
     """Run one sequence and score it."""
+    name = sequence.name if prior is None else f"{sequence.name}, {prior}"
     command = [sys.executable, "-m", "pv_inspect", "run", str(sequence), "--out", str(out)]
     command += ["--magnification", str(options.magnification)]
+    command += ["--prior", prior] if prior else []
     if options.threads:
         command += ["--threads", str(options.threads)]
     cost = timed(command)
     if cost.exit_code not in (0, IN_DOUBT):
-        return Row(sequence.name, cost)
+        return Row(name, cost)
     record = json.loads((out / "result.json").read_text(encoding="utf-8"))
     used = [frame["used"] for frame in record["frames"]]
     score: dict[str, Any] = {}
@@ -78,7 +110,7 @@ def measured(sequence: Path, options: argparse.Namespace, out: Path) -> Row:
             check=True,
         )
         score = json.loads(scored.stdout)
-    return Row(sequence.name, cost, f"{sum(used)}/{len(used)}", record["seconds"], score)
+    return Row(name, cost, f"{sum(used)}/{len(used)}", record["seconds"], score)
 
 
 def value(score: dict[str, Any], *path: str) -> str:
@@ -92,7 +124,7 @@ def value(score: dict[str, Any], *path: str) -> str:
 def table(rows: list[Row]) -> str:
     """All rows as text columns."""
     stages = list(dict.fromkeys(stage for row in rows for stage in row.seconds))
-    head = ["sequence", "exit", "frames", "wall s", "CPU s", "peak MiB", *stages]
+    head = ["sequence", "exit", "frames", "wall s", "CPU s", "cores", "peak MiB", *stages]
     head += ["crossing px", "flat PSNR", "raw PSNR", "FRC", "crack AP", "crack F1"]
     lines = [head]
     for row in rows:
@@ -104,6 +136,7 @@ def table(rows: list[Row]) -> str:
                 row.used,
                 f"{cost.wall_s:.1f}",
                 f"{cost.cpu_s:.1f}",
+                f"{cost.cpu_s / cost.wall_s:.2f}",
                 f"{cost.peak_mib:.0f}",
                 *(f"{row.seconds[s]:.1f}" if s in row.seconds else "-" for s in stages),
                 value(row.score, "geometry", "crossing_rmse_px", "median"),
@@ -124,6 +157,19 @@ def table(rows: list[Row]) -> str:
     )
 
 
+def ratios(rows: list[Row]) -> str:
+    """CPU and wall time of ours over those of the peers, line by line."""
+    lines = []
+    for ours, *peers in (rows[k : k + 3] for k in range(0, len(rows), 3)):
+        told = [
+            f"{peer.name.split(', ')[1]} {ours.cost.cpu_s / peer.cost.cpu_s:.2f} (CPU) "
+            f"{ours.cost.wall_s / peer.cost.wall_s:.2f} (wall)"
+            for peer in peers
+        ]
+        lines.append(f"{ours.name} over " + ", over ".join(told))
+    return "\n".join(lines)
+
+
 def main() -> int:
     """Run all sequences; the exit code is 1 if one of them failed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -132,11 +178,19 @@ def main() -> int:
     parser.add_argument("--threads", type=int, help="threads to compute with")
     parser.add_argument("--score", type=Path, metavar="SCORER")
     parser.add_argument("--keep", type=Path, help="keep the result folders in this folder")
+    parser.add_argument("--peers", action="store_true", help="run drizzle and WBTV as well")
     options = parser.parse_args()
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as scratch:
         kept = options.keep or Path(scratch)
-        rows = [measured(folder, options, kept / folder.name) for folder in options.sequences]
+        for folder in options.sequences:
+            rows.append(measured(folder, options, kept / folder.name))
+            if options.peers:
+                rows.append(drizzle(folder, options, Path(scratch) / folder.name))
+                rows.append(measured(folder, options, kept / f"{folder.name}_wbtv", "wbtv"))
     print(table(rows))
+    if options.peers:
+        print(ratios(rows))
     return int(any(row.cost.exit_code not in (0, IN_DOUBT) for row in rows))
 
 
