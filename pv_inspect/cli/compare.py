@@ -56,6 +56,14 @@ def compare(
     ] = None,
     cells: Annotated[int, typer.Option(min=1, help="Cells of each sequence that are drawn.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draw.")] = 0,
+    halves: Annotated[
+        bool,
+        typer.Option(
+            "--halves",
+            help="Make the images of every second frame too, and correlate both halves: a measure "
+            "of resolution without truth; three times the work.",
+        ),
+    ] = False,
     truth: Annotated[bool, typer.Option(help="Score against the truth where there is one.")] = True,
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads to compute with; all cores if not given.")
@@ -86,6 +94,7 @@ def compare(
             wanted,
             cells,
             seed,
+            halves,
         )
         command = shlex.join(
             [
@@ -93,6 +102,7 @@ def compare(
                 *(text for m in magnification or () for text in ("--magnification", f"{m:g}")),
                 *(("--methods", methods) if methods else ()),
                 *("--cells", str(cells), "--seed", str(seed)),
+                *(("--halves",) if halves else ()),
             ]
         )
         rows = follow(compare_all(folder, plans, command, with_truth=truth), quiet=quiet)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import process_time
 from typing import cast
 
@@ -55,6 +55,26 @@ class Case:
     registration: Registration
     grid: HrGrid
     geometry_cpu_s: float
+
+    def half(self, which: int) -> Case:
+        """Return the case with every second frame in use alone.
+
+        Parameters
+        ----------
+        which : {0, 1}
+
+        Raises
+        ------
+        InspectionError
+            If no frame is left.
+        """
+        used = self.registration.used.copy()
+        used[np.flatnonzero(used)[1 - which :: 2]] = False
+        if not used.any():
+            raise InspectionError(
+                "One frame is in use, which has no halves: compare without --halves."
+            )
+        return replace(self, registration=replace(self.registration, used=used))
 
     def frame_of(self, cell: Cell) -> int:
         """Return the frame from which methods of one frame make a cell: the first that shows it.

@@ -32,6 +32,8 @@ Image = NDArray[np.float32]
 
 CASE_FILE = "case.json"
 _METHOD_FILE = "method.json"
+# All frames, and each half of them.
+_HALVES = (None, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,8 @@ class Plan:
         Cells that are drawn; the same for all methods.
     seed : int
         Of the draw.
+    halves : bool
+        Make the images a second and third time, of every second frame.
     """
 
     sequence: Path
@@ -56,6 +60,7 @@ class Plan:
     methods: tuple[Method, ...]
     n_cells: int
     seed: int
+    halves: bool = False
 
     @property
     def name(self) -> str:
@@ -105,12 +110,15 @@ class ComparedSequence:
     images : dict of str to dict of (row, col) to (h, w) float32
         By name of the method; empty if it failed.
     records : dict of str to MethodRecord
+    halves : dict of str to two dicts as in ``images``
+        Images of every second frame and of the others; empty if they were not wanted.
     """
 
     plan: Plan
     grid: GridRecord
     images: dict[str, dict[Cell, Image]]
     records: dict[str, MethodRecord]
+    halves: dict[str, tuple[dict[Cell, Image], dict[Cell, Image]]]
 
 
 def compared(plan: Plan, out: Path) -> Generator[Progress, None, ComparedSequence]:
@@ -145,24 +153,24 @@ def compared(plan: Plan, out: Path) -> Generator[Progress, None, ComparedSequenc
     folder = out / plan.folder
     case: Case | None = None
     grid = _stored_grid(folder, key)
-    share = 1.0 / (len(plan.methods) + 1)
+    work = [(method, half) for method in plan.methods for half in _HALVES[: 1 + 2 * plan.halves]]
+    share = 1.0 / (len(work) + 1)
     if grid is None:
         case = yield from _with_geometry(plan, sequence, share)
         grid = GridRecord.of(case, sampled_cells(case.grid.layout, plan.n_cells, plan.seed))
         folder.mkdir(parents=True, exist_ok=True)
         record = _CaseRecord(key=key, grid=grid)
         replace_file(folder / CASE_FILE, record.model_dump_json(indent=1).encode())
-    images: dict[str, dict[Cell, Image]] = {}
-    records: dict[str, MethodRecord] = {}
-    for k, method in enumerate(plan.methods, start=1):
-        place = folder / method.name
-        own = _key(key, method.name, method.note)
+    found: dict[tuple[str, int | None], tuple[MethodRecord, dict[Cell, Image]]] = {}
+    for k, (method, half) in enumerate(work, start=1):
+        place = folder / (method.name if half is None else f"{method.name}_half_{half + 1}")
+        own = _key(key, method.name, method.note, f"{half}")
         done = _finished(place, own, grid)
         if done is None or done[0].failed:
             if case is None:
                 case = yield from _with_geometry(plan, sequence, 0.0)
-            told = f"{plan.name} {settings.magnification:g}x, {method.name}"
-            making = _make(method, case, grid, place, own)
+            told = f"{plan.name} {settings.magnification:g}x, {place.name}"
+            making = _make(method, case, half, grid, place, own)
 
             def part(step: Progress, k: int = k, told: str = told) -> Progress:
                 return Progress(share * (k + step.fraction), f"{told}: {step.message}")
@@ -171,11 +179,17 @@ def compared(plan: Plan, out: Path) -> Generator[Progress, None, ComparedSequenc
             done = _finished(place, own, grid)
         if done is None:
             raise InspectionError(
-                f"The images of {method.name} in {place} were changed while they were made: start "
+                f"The images of {place.name} in {place} were changed while they were made: start "
                 "the comparison again."
             )
-        records[method.name], images[method.name] = done
-    return ComparedSequence(plan, grid, images, records)
+        found[method.name, half] = done
+    return ComparedSequence(
+        plan,
+        grid,
+        {name: images for (name, half), (_, images) in found.items() if half is None},
+        {name: record for (name, half), (record, _) in found.items() if half is None},
+        {name: (found[name, 0][1], found[name, 1][1]) for name, half in found if half == 1},
+    )
 
 
 def _with_geometry(
@@ -188,7 +202,7 @@ def _with_geometry(
 
 
 def _make(
-    method: Method, case: Case, grid: GridRecord, place: Path, key: str
+    method: Method, case: Case, half: int | None, grid: GridRecord, place: Path, key: str
 ) -> Generator[Progress, None, None]:
     """Make the cells of a method that are not on the disk yet."""
     begun = _begun(place, key) if method.cell_by_cell else None
@@ -200,7 +214,8 @@ def _make(
     todo = [cell for cell in grid.cells if not _image_file(place, cell).is_file()]
     since = process_time()
     try:
-        for step in method.images(case, todo):
+        frames = case if half is None else case.half(half)
+        for step in method.images(frames, todo):
             if isinstance(step, Progress):
                 yield step
                 continue

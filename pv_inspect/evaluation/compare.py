@@ -71,6 +71,7 @@ class ComparisonFolder:
         methods: Sequence[Method],
         n_cells: int,
         seed: int,
+        halves: bool = False,
     ) -> list[Plan]:
         """Plan every sequence at every magnification.
 
@@ -80,7 +81,7 @@ class ComparisonFolder:
             If two sequences have one name, which their images would share.
         """
         plans = [
-            Plan(sequence, one, tuple(methods), n_cells, seed)
+            Plan(sequence, one, tuple(methods), n_cells, seed, halves)
             for sequence in sequences
             for one in settings
         ]

@@ -15,7 +15,13 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.evaluation.case import Cell
 from pv_inspect.evaluation.cell_images import ComparedSequence
 from pv_inspect.evaluation.grid_record import GridRecord
-from pv_inspect.evaluation.image_metrics import ImageScore, fitted, image_score
+from pv_inspect.evaluation.image_metrics import (
+    ImageScore,
+    fitted,
+    fourier_ring_correlation,
+    image_score,
+    ring_cutoff,
+)
 from pv_inspect.evaluation.truth import Truth, read_truth
 
 __all__ = ["PROTOCOLS", "Row", "rows_of", "truth_of"]
@@ -50,6 +56,9 @@ class Row:
         None without truth.
     cracks : dict of str to CoarseScore
         By `PROTOCOLS`; empty without truth.
+    half_frc_cutoff : float or None
+        Where the images of two halves of the frames first correlate by less than 1/7, cycles per
+        LR px; None if they were not made.
     """
 
     sequence: str
@@ -62,6 +71,7 @@ class Row:
     failed: str
     image: ImageScore | None
     cracks: dict[str, CoarseScore]
+    half_frc_cutoff: float | None = None
 
     def figures(self) -> dict[str, float | str | int]:
         """Return all figures by name, flat, as a tidy table has them."""
@@ -83,6 +93,8 @@ class Row:
         for protocol, score in self.cracks.items():
             for entry in fields(score):
                 found[f"{protocol}_{entry.name}"] = getattr(score, entry.name)
+        if self.half_frc_cutoff is not None:
+            found["half_frc_cutoff"] = self.half_frc_cutoff
         found["note"], found["failed"] = self.note, self.failed
         return found
 
@@ -134,10 +146,20 @@ def rows_of(made: ComparedSequence, truth: Truth | None) -> Generator[Progress, 
                 record.failed,
                 scored,
                 cracks,
+                _half_frc(made, method.name),
             )
         )
         yield Progress((k + 1) / len(made.plan.methods), f"scoring {made.plan.name}, {method.name}")
     return rows
+
+
+def _half_frc(made: ComparedSequence, name: str) -> float | None:
+    """Compare the images of two halves of the frames: what is in both is no noise."""
+    first, second = made.halves.get(name, ({}, {}))
+    if not first or not second:
+        return None
+    pairs = [(first[c].astype(np.float64), second[c].astype(np.float64)) for c in first]
+    return ring_cutoff(*fourier_ring_correlation(pairs, made.grid.magnification))
 
 
 def _cracks(

@@ -21,6 +21,7 @@ _COLUMNS = (
     ("flat_psnr_db", "PSNR, dB", 2),
     ("ssim", "SSIM", 3),
     ("frc_cutoff", "FRC, cycles/LR px", 2),
+    ("half_frc_cutoff", "FRC of halves", 2),
 )
 _TABLE1 = (
     ("precision", "precision"),

@@ -6,7 +6,7 @@ import csv
 import json
 import shutil
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -220,3 +220,34 @@ def test_the_draw_of_cells_is_that_of_its_seed() -> None:
     assert cells == sorted(cells)
     assert sampled_cells(layout, 100, 1) == [(r, c) for r in range(6) for c in range(10)]
     assert np.ptp([row for row, _ in cells]) > 0
+
+
+def test_halves_of_the_frames_are_compared_without_truth(
+    quick_folder: Path, tmp_path: Path
+) -> None:
+    folder = ComparisonFolder.at(tmp_path / "out")
+    with folder.reserved():
+        settings = [Settings(magnification=3)]
+        plans = folder.plans(
+            [quick_folder], settings, [Bicubic(), MeanOfFrames()], N_CELLS, 0, halves=True
+        )
+        rows = result_of(compare_all(folder, plans, "pv-inspect compare", with_truth=False))
+    one, mean = (row.half_frc_cutoff for row in rows)
+    assert one is not None
+    assert mean is not None
+    assert 0 < one < mean  # noise of four frames is half of that of one
+    assert "half_frc_cutoff" in (tmp_path / "out" / "table.csv").read_text()
+
+
+def test_one_frame_has_no_halves(quick_case: Case) -> None:
+    used = np.arange(len(quick_case.sequence)) == 2
+    alone = replace(quick_case, registration=replace(quick_case.registration, used=used))
+    assert alone.half(0).registration.used.tolist() == used.tolist()
+    with pytest.raises(InspectionError, match="no halves"):
+        alone.half(1)
+
+
+def test_halves_share_no_frame(quick_case: Case) -> None:
+    first, second = (quick_case.half(k).registration.used for k in (0, 1))
+    assert not (first & second).any()
+    assert ((first | second) == quick_case.registration.used).all()
