@@ -209,14 +209,12 @@ def _link(
     worth = dark + 2 * logs
     centre = worth.shape[1] // 2
 
-    def best(shift: int) -> NDArray[np.intp]:
-        low = centre + shift - half
-        return np.asarray(low + _best_path(worth[:, low : low + 2 * half + 1]))
-
+    lows = [centre + shift - half for shift in (0, *_BESIDE)]
+    paths = _best_paths(np.stack([worth[:, low : low + 2 * half + 1] for low in lows]))
+    path, *others = paths + np.array(lows)[:, None]
     rows = np.arange(n)
-    path = best(0)
     found = dark[rows, path]
-    beside = max(float(dark[rows, best(shift)].mean()) for shift in _BESIDE)
+    beside = max(float(dark[rows, other].mean()) for other in others)
     return Link(
         path=at[rows, path + _SIDE],
         pieces=pieces,
@@ -228,30 +226,30 @@ def _link(
     )
 
 
-def _best_path(worth: Points) -> NDArray[np.intp]:
-    """Columns of the path of most worth through the rows, from and to the middle column."""
-    n, width = worth.shape
-    total = np.full(width, -np.inf)
-    total[width // 2] = worth[0, width // 2]
-    came = np.zeros((n, width), np.intp)
-    edge = np.array([-np.inf])
+def _best_paths(worth: Points) -> NDArray[np.intp]:
+    """Columns of the path of most worth through the rows, from and to the middle column.
+
+    ``worth`` is (n_paths, n_rows, n_columns), the result (n_paths, n_rows).
+    """
+    count, n, width = worth.shape
+    # A column at either side that no path comes from.
+    total = np.full((count, width + 2), -np.inf)
+    total[:, 1 + width // 2] = worth[:, 0, width // 2]
+    ways = np.empty((3, count, width))
+    came = np.empty((n, count, width), np.intp)
     for k in range(1, n):
         # A step aside costs a little.
-        ways = np.stack(
-            [
-                np.concatenate([edge, total[:-1]]) - 0.3,
-                total,
-                np.concatenate([total[1:], edge]) - 0.3,
-            ]
-        )
-        chosen = ways.argmax(0)
-        came[k] = np.arange(width) + chosen - 1
-        total = ways.max(0) + worth[k]
-    path = np.empty(n, np.intp)
-    path[-1] = width // 2
+        np.subtract(total[:, :-2], 0.3, out=ways[0])
+        ways[1] = total[:, 1:-1]
+        np.subtract(total[:, 2:], 0.3, out=ways[2])
+        came[k] = ways.argmax(0)
+        np.add(ways.max(0), worth[:, k], out=total[:, 1:-1])
+    every = np.arange(count)
+    paths = np.empty((count, n), np.intp)
+    paths[:, -1] = width // 2
     for k in range(n - 1, 0, -1):
-        path[k - 1] = came[k, path[k]]
-    return path
+        paths[:, k - 1] = paths[:, k] + came[k, every, paths[:, k]] - 1
+    return paths
 
 
 def _sampled(image: Image, at: Points) -> Points:
