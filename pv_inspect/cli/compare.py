@@ -48,7 +48,11 @@ def compare(
     ],
     given: dict[str, Any],
     methods: Annotated[
-        str, typer.Option(help="Names of methods, with commas between; all if not given.")
+        str,
+        typer.Option(
+            help="Names of methods, with commas between; if not given, all but networks and "
+            "programs of others."
+        ),
     ] = "",
     magnification: Annotated[
         list[float] | None,

