@@ -199,7 +199,7 @@ class Preview:
         if start is None or self._image_grid != grid:
             start = self._known_on(grid)
         problem = Problem(self._equations, weight, self._brightness, settings.prior)
-        work = minimise(problem, start, settings.max_iterations)
+        work = minimise(problem, start, settings.max_iterations, spectral=True)
         finished = False
         while not finished:
             try:

@@ -60,13 +60,15 @@ def test_a_change_back_and_forth_ends_where_it_began(
 ) -> None:
     sequence, registration, whole = made
     view = Preview(sequence, registration, whole)
-    # Squares have one minimiser; the sparse prior has several, close to each other.
+    # Squares have one minimiser. The margin around the cell, of which the corner of the module is
+    # seen by no frame, reaches it late and is not shown.
     convex = SETTINGS.changed(prior="tikhonov", prior_weight=0.05)
     first = view.show(Region(0, 2), convex)
     other = view.show(Region(0, 2), convex.changed(prior_weight=5.0))
     again = view.show(Region(0, 2), convex)
-    assert np.abs(other.image - first.image).max() > 0.005
-    assert float(np.sqrt(np.mean((again.image - first.image) ** 2))) < 0.003
+    assert np.abs(other.image[other.cell] - first.image[first.cell]).max() > 0.005
+    apart = (again.image - first.image)[first.cell]
+    assert float(np.sqrt(np.mean(apart**2))) < 0.0003
 
 
 def test_another_psf_and_another_magnification_are_taken_over(
