@@ -5,9 +5,9 @@
 The camera goes over modules of 3 x 6 to 6 x 12 cells in rows, so near that no frame shows all of
 one. The run, up to the registered frames, is told rows and columns. "right" is one whose crossing
 points lie within 0.15 LR px (RMS) of the truth where frames show them, and whose frames in use
-show all of the module; "in doubt" one that names the cells that are missing; "silent" one that is
-wrong without a word. With --hidden a part of the
-module is in no frame: those must be refused, and whether the reason is the true one is to be read.
+show all of the module; "in doubt" one that says that the layout does not fit, or names the cells
+that are missing; "silent" one that is wrong without a word. With --hidden a part of the module is
+in no frame: those must be refused, and whether the reason is the true one is to be read.
 """
 
 from __future__ import annotations
@@ -144,10 +144,11 @@ def trial(seed: int, n_frames: int, hidden: bool) -> tuple[str, str]:
     missing = 1 - np.any(views, axis=0).mean()
     if missing:
         words += f", {100 * missing:.1f} % of the module in none of them"
-    said = unseen_sentence(registration, sequence.shape)
+    unseen = unseen_sentence(registration, sequence.shape)
     answer = "right" if rms <= MOST_RMS_PX and not missing else "silent"
-    if said and rms <= MOST_RMS_PX:
-        answer, words = "in doubt", f"{words}  {said}"
+    # That cells are missing does not say that the others lie elsewhere.
+    if registration.misfit or (unseen and rms <= MOST_RMS_PX):
+        answer, words = "in doubt", f"{words}  {registration.misfit} {unseen}"
     return answer, f"{words}  {process_time() - begun:.0f} s  {reasons}"
 
 
