@@ -317,3 +317,20 @@ def test_a_frame_whose_equations_are_singular_is_left_out_with_its_reason(
     assert found.why[1] == "registration did not converge"
     assert list(np.flatnonzero(~found.used)) == [1]
     assert np.isfinite(found.homographies[found.used]).all()
+
+
+def test_crossings_that_a_frame_does_not_show_say_nothing_of_the_common_homography() -> None:
+    # The first frame shows the left, the second the right; between them a column is in neither.
+    homographies = np.array([[[1.0, 0, -x], [0, 1, -2], [0, 0, 10]] for x in (1.0, 5.0)])
+    camera = Camera(np.array([[300.0, 0, 50], [0, 300, 60], [0, 0, 1]]), -0.1)
+    calibration = Calibration(
+        LAYOUT, camera, homographies, np.ones(2, bool), ("", ""), np.zeros(2), False, 0.0
+    )
+    other = replace(unregistered(calibration), camera=Camera(camera.K, 0.1))
+    found = registration_module._mean_crossings(other, calibration, (121, 101))
+    found = found.reshape(LAYOUT.rows + 1, LAYOUT.cols + 1, 2)
+    for side, H in ((slice(0, 3), homographies[0]), (slice(4, 7), homographies[1])):
+        points = LAYOUT.crossings().reshape(*found.shape)[:, side].reshape(-1, 2)
+        there = other.camera.unproject(H, camera.project(H, points))
+        np.testing.assert_allclose(found[:, side].reshape(-1, 2), there, atol=1e-9)
+    assert np.isnan(found[:, 3]).all()
