@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -71,20 +72,35 @@ class FramePatch:
         cell : (row, col)
         frame : int
         """
+        return cls.common(case, cell, [frame])[0]
+
+    @classmethod
+    def common(cls, case: Case, cell: Cell, frames: Sequence[int]) -> list[FramePatch]:
+        """Cut one rectangle out of several frames, which holds the cell in all of them.
+
+        Parameters
+        ----------
+        case : Case
+        cell : (row, col)
+        frames : sequence of int
+        """
         registration = case.registration
         rows, cols = case.grid.cell_slices(*cell)
         y, x = np.mgrid[rows, cols].astype(np.float64)
         at = case.grid.to_module(np.stack([x, y], axis=-1))
-        target = registration.camera.project(registration.homographies[frame], at)
-        whole = case.sequence.frame(frame).image
-        whole = (whole - registration.offset[frame]) / registration.gain[frame]
-        height, width = whole.shape
-        low = np.floor(np.nanmin(target, axis=(0, 1))).astype(int) - _MARGIN_PX
-        high = np.ceil(np.nanmax(target, axis=(0, 1))).astype(int) + _MARGIN_PX + 1
+        targets = [registration.camera.project(registration.homographies[i], at) for i in frames]
+        low = np.floor(np.nanmin(targets, axis=(0, 1, 2))).astype(int) - _MARGIN_PX
+        high = np.ceil(np.nanmax(targets, axis=(0, 1, 2))).astype(int) + _MARGIN_PX + 1
+        height, width = case.sequence.shape
         x0, y0 = (max(int(v), 0) for v in low)
         x1, y1 = min(int(high[0]), width), min(int(high[1]), height)
-        image = np.ascontiguousarray(whole[y0:y1, x0:x1], np.float32)
-        return cls(image, (x0, y0), target, float(np.percentile(whole, 99.9)))
+        patches = []
+        for i, target in zip(frames, targets, strict=True):
+            whole = case.sequence.frame(i).image
+            whole = (whole - registration.offset[i]) / registration.gain[i]
+            image = np.ascontiguousarray(whole[y0:y1, x0:x1], np.float32)
+            patches.append(cls(image, (x0, y0), target, float(np.percentile(whole, 99.9))))
+        return patches
 
     def scaled_to_unit(self) -> UnitScale:
         """Scale black to 0 and the 99.9 percentile of the frame to 1, with what is beyond cut."""

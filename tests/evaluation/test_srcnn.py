@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import correlate
 
-from pv_inspect.evaluation import srcnn as module
+from pv_inspect.evaluation.convolution import convolved
 from pv_inspect.evaluation.srcnn import srcnn
 
 
@@ -15,7 +15,7 @@ def test_a_layer_is_a_sum_of_correlations() -> None:
     maps = rng.normal(size=(3, 40, 21)).astype(np.float32)
     weights = rng.normal(size=(2, 3, 5, 5)).astype(np.float32)
     bias = np.array([0.5, -1.0], np.float32)
-    found = module._convolved(maps, weights, bias)
+    found = convolved(maps, weights, bias, "edge")
     for k in range(2):
         terms = [correlate(m, w, mode="nearest") for m, w in zip(maps, weights[k], strict=True)]
         assert np.allclose(found[k], np.sum(terms, axis=0) + bias[k], atol=1e-4)
