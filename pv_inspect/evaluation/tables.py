@@ -45,10 +45,13 @@ def csv_table(rows: Sequence[Row]) -> str:
 def average_rows(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Average the figures of each method at each magnification over all sequences.
 
-    A method that failed on a sequence has no average: it would be over other images.
+    A method that failed on a sequence has no average: it would be over other images. Of one
+    sequence there is none at all.
     """
-    found = []
+    found: list[dict[str, Any]] = []
     sequences = {row.sequence for row in rows}
+    if len(sequences) == 1:
+        return found
     groups = dict.fromkeys((row.magnification, row.method) for row in rows)
     for magnification, method in groups:
         some = [r for r in rows if (r.magnification, r.method) == (magnification, method)]
