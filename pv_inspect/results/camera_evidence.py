@@ -148,7 +148,7 @@ def _pool(
 def _lens(
     found: Sequence[_Evidence], shape: tuple[int, int], notes: list[str]
 ) -> LensProfile | None:
-    # The error of crossing points alone leaves out what they have in common: in 5 of 20 simulated
+    # The error of crossing points alone leaves out what they have in common: in 4 of 20 simulated
     # sequences kappa was 5 to 9 such errors off. It counts where no result has straight lines.
     by_lines = any(one.record.camera.errors is not None for one in found)
 
