@@ -16,6 +16,7 @@ import pv_inspect
 from pv_inspect.calibration.camera_file import read_camera
 from pv_inspect.calibration.camera_profile import read_profile
 from pv_inspect.cli.app import app
+from pv_inspect.evaluation.own_model import OwnModel
 from pv_inspect.settings import Settings
 
 PAGES = sorted((Path(__file__).parents[1] / "docs" / "how-to").glob("*.md"))
@@ -67,7 +68,8 @@ def test_options_in_the_text_exist() -> None:
 
 
 def test_the_settings_file_is_read(tmp_path: Path) -> None:
-    (text,) = [block for block in of_all_pages("toml") if "[lens]" not in block]
+    others = ("[lens]", "value_range")
+    (text,) = [b for b in of_all_pages("toml") if not any(word in b for word in others)]
     (tmp_path / "plant.toml").write_text(text)
     assert Settings.from_toml(tmp_path / "plant.toml").cell_width_mm == 156.75
 
@@ -85,3 +87,10 @@ def test_the_calibration_is_read(tmp_path: Path) -> None:
     (tmp_path / "camera.json").write_text(text)
     camera = read_camera(tmp_path / "camera.json", (512, 640))
     assert camera.kappa == json.loads(text)["distortion_coefficients"][0]
+
+
+def test_the_description_of_a_network_is_read(tmp_path: Path) -> None:
+    (text,) = [block for block in of_all_pages("toml") if "value_range" in block]
+    (tmp_path / "mine.toml").write_text(text)
+    (tmp_path / "mine.onnx").write_bytes(b"any")
+    assert OwnModel.read(tmp_path / "mine.onnx", []).declared.scale == 4

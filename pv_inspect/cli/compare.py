@@ -54,6 +54,14 @@ def compare(
             "programs of others."
         ),
     ] = "",
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="ONNX file of a network of your own, with a TOML file of the same name beside "
+            "it; several are possible.",
+            metavar="FILE",
+        ),
+    ] = None,
     magnification: Annotated[
         list[float] | None,
         typer.Option("--magnification", "-m", help="HR over LR resolution; several are possible."),
@@ -83,7 +91,8 @@ def compare(
     """
     with one_sentence_on_errors(debug) as cleanup:
         from pv_inspect.evaluation.compare import ComparisonFolder, compare_all
-        from pv_inspect.evaluation.methods import methods_named
+        from pv_inspect.evaluation.methods import METHODS, PEERS, methods_named
+        from pv_inspect.evaluation.own_model import OwnModel
         from pv_inspect.progress.follow import follow
         from pv_inspect.settings import Settings
 
@@ -92,6 +101,9 @@ def compare(
         cleanup.written_so_far = lambda: f"finished cells are in {out}, and a rerun goes on"
         use_threads(threads)
         wanted = methods_named([name for name in methods.split(",") if name.strip()])
+        for path in model or ():
+            taken = [method.name for method in (*METHODS, *PEERS, *wanted)]
+            wanted.append(OwnModel.read(path, taken))
         plans = folder.plans(
             sequences,
             [Settings().changed(**given, magnification=m) for m in magnification or [3.0, 4.0]],
@@ -105,6 +117,7 @@ def compare(
                 *("pv-inspect", "compare", *(path.name for path in sequences)),
                 *(text for m in magnification or () for text in ("--magnification", f"{m:g}")),
                 *(("--methods", methods) if methods else ()),
+                *(text for path in model or () for text in ("--model", path.name)),
                 *("--cells", str(cells), "--seed", str(seed)),
                 *(("--halves",) if halves else ()),
             ]

@@ -12,6 +12,7 @@ import struct
 import subprocess
 import sys
 import weakref
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
 from typing import IO
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.errors import InspectionError
 
-__all__ = ["NetworkApart"]
+__all__ = ["NetworkApart", "Purpose"]
 
 Image = NDArray[np.float32]
 
@@ -29,7 +30,28 @@ _PROGRAM = Path(__file__).with_name("foreign_network_process.py")
 # Eight cells take half a second of our own network; a loaded machine is a hundred times slower.
 LONGEST_S = 60.0
 _MOST_AXES, _MOST_VALUES = 8, 2**28
-_WANTED = "give a model of pv_inspect.cracks.training.train"
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What a network is for: the words of sentences, and how long a call may take.
+
+    Parameters
+    ----------
+    name : str
+        With an article.
+    inputs : str
+        What it is given.
+    instead : str
+        What to do if it can't be used.
+    longest_s : float or None
+        `LONGEST_S` if None.
+    """
+
+    name: str = "a crack model"
+    inputs: str = "cells (n, 1, h, w) float32"
+    instead: str = "give a model of pv_inspect.cracks.training.train"
+    longest_s: float | None = None
 
 
 class NetworkApart:
@@ -41,10 +63,12 @@ class NetworkApart:
         For sentences.
     network : bytes
         The ONNX file.
+    purpose : Purpose
     """
 
-    def __init__(self, path: Path, network: bytes) -> None:
+    def __init__(self, path: Path, network: bytes, purpose: Purpose | None = None) -> None:
         self._path = path
+        self._for = purpose or Purpose()
         try:
             # Its own folder is not searched for modules: names there are those of the package.
             self._process = subprocess.Popen(
@@ -61,12 +85,13 @@ class NetworkApart:
         self._end = weakref.finalize(self, _ended, self._process)
         self._begun = struct.pack("<Q", len(network)) + network
 
-    def forward(self, cells: Image) -> Image:
+    def forward(self, given: Image) -> Image:
         """Run the network.
 
         Parameters
         ----------
-        cells : (n, h, w) float32
+        given : float32
+            Of any shape.
 
         Returns
         -------
@@ -81,26 +106,27 @@ class NetworkApart:
         source, target = self._process.stdin, self._process.stdout
         assert source is not None
         assert target is not None
-        late = Timer(LONGEST_S, self._process.kill)
+        longest_s = LONGEST_S if self._for.longest_s is None else self._for.longest_s
+        late = Timer(longest_s, self._process.kill)
         late.daemon = True
         late.start()
         try:
-            source.write(self._begun + struct.pack("<3I", *cells.shape))
-            source.write(np.ascontiguousarray(cells, np.float32).tobytes())
+            source.write(self._begun + struct.pack(f"<{given.ndim + 1}I", given.ndim, *given.shape))
+            source.write(np.ascontiguousarray(given, np.float32).tobytes())
             source.flush()
             self._begun = b""
             return _answer(target)
         except _RefusedError as error:
             raise InspectionError(
-                f"{self._path} can't be used as a crack model ({error}): its input must be cells "
-                f"(n, 1, h, w) float32; {_WANTED}."
+                f"{self._path} can't be used as {self._for.name} ({error}): its input must be "
+                f"{self._for.inputs}; {self._for.instead}."
             ) from None
         except (OSError, EOFError, ValueError):
             was_late = not late.is_alive()
-            how = f"takes over {LONGEST_S:g} s" if was_late else self._why_it_ended()
+            how = f"takes over {longest_s:g} s" if was_late else self._why_it_ended()
             raise InspectionError(
-                f"{self._path} {how}, so that it can't be used as a crack model: {_WANTED}, or "
-                "leave out --model."
+                f"{self._path} {how}, so that it can't be used as {self._for.name}: "
+                f"{self._for.instead}, or leave out --model."
             ) from None
         finally:
             late.cancel()

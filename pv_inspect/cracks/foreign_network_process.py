@@ -55,12 +55,13 @@ def main(source: BinaryIO, target: BinaryIO) -> None:
     network = np.frombuffer(_read(source, n_bytes), np.uint8)
     net = None
     while True:
-        shape = struct.unpack("<3I", _read(source, 12))
-        cells = np.frombuffer(_read(source, 4 * int(np.prod(shape))), np.float32).reshape(shape)
+        (n_axes,) = struct.unpack("<I", _read(source, 4))
+        shape = struct.unpack(f"<{n_axes}I", _read(source, 4 * n_axes))
+        given = np.frombuffer(_read(source, 4 * int(np.prod(shape))), np.float32).reshape(shape)
         try:
             if net is None:
                 net = cv2.dnn.readNetFromONNX(network)
-            net.setInput(np.ascontiguousarray(cells[:, None]))
+            net.setInput(np.ascontiguousarray(given))
             answer = _answer(np.ascontiguousarray(net.forward(), np.float32))
         except (cv2.error, MemoryError, ValueError, TypeError) as error:
             answer = _refusal(str(error) or type(error).__name__)

