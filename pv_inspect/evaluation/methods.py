@@ -20,6 +20,7 @@ from pv_inspect.evaluation.ncnn_network import NcnnNetwork
 from pv_inspect.evaluation.package_files import file_of_package
 from pv_inspect.evaluation.srcnn import srcnn
 from pv_inspect.evaluation.tensor_file import read_tensors
+from pv_inspect.evaluation.vidsr_program import vidsr_image
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.reconstruct import reconstruct
@@ -245,6 +246,26 @@ class BasicVsrMethod:
             yield cell, patch.rectified(unit.back(made.mean(axis=0)), BASICVSR_SCALE)
 
 
+@dataclass(frozen=True)
+class Vidsr:
+    """The program vidsr, which aligns, fuses and sharpens the frames of a video."""
+
+    name: str = "vidsr"
+    frames: Literal["one", "all"] = "all"
+    cell_by_cell: bool = True
+    note: str = (
+        "package vidsr with its default values, but no CLAHE; it aligns the surroundings of each "
+        "cell in all frames to the cell's own by itself, and what it makes is rectified with our "
+        "geometry; 0 to 1 is black to the 99.9 percentile of the frame, not rounded to 8 bits"
+    )
+
+    def images(self, case: Case, cells: Sequence[Cell]) -> CellImages:
+        """Run it on the surroundings of each cell, and rectify the result."""
+        scale = max(round(case.grid.magnification), 1)
+        for cell in cells:
+            yield cell, vidsr_image(case, cell, scale)
+
+
 def _cut(image: Image, grid: HrGrid, cells: Sequence[Cell]) -> CellImages:
     for cell in cells:
         yield cell, image[grid.cell_slices(*cell)]
@@ -281,6 +302,7 @@ _ENLARGED_4X = (
 )
 
 PEERS: tuple[Method, ...] = (
+    Vidsr(),
     PublishedNetwork(
         "Real-ESRGAN",
         f"RRDB-23, the authors' weights x4plus; one frame, {_ENLARGED_4X}",
