@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Generator
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 import tifffile
@@ -212,7 +212,7 @@ def _make(
         begun = MethodRecord(key=key, note=method.note, cpu_s=0.0)
     record = begun
     todo = [cell for cell in grid.cells if not _image_file(place, cell).is_file()]
-    since = process_time()
+    since = _cpu_s()
     try:
         frames = case if half is None else case.half(half)
         for step in method.images(frames, todo):
@@ -221,10 +221,8 @@ def _make(
                 continue
             cell, image = step
             replace_file(_image_file(place, cell), _tiff(image))
-            record = record.model_copy(
-                update={"cpu_s": record.cpu_s + max(process_time() - since, 0.0)}
-            )
-            since = process_time()
+            record = record.model_copy(update={"cpu_s": record.cpu_s + max(_cpu_s() - since, 0.0)})
+            since = _cpu_s()
             replace_file(place / _METHOD_FILE, record.model_dump_json(indent=1).encode())
             left = sum(not _image_file(place, other).is_file() for other in grid.cells)
             share = 1.0 - left / len(grid.cells)
@@ -232,6 +230,11 @@ def _make(
     except InspectionError as error:
         record = record.model_copy(update={"failed": str(error)})
         replace_file(place / _METHOD_FILE, record.model_dump_json(indent=1).encode())
+
+
+def _cpu_s() -> float:
+    """CPU time of this process and of those that it has started and that have ended."""
+    return sum(os.times()[:4])
 
 
 def _begun(place: Path, key: str) -> MethodRecord | None:

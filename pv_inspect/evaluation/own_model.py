@@ -134,16 +134,16 @@ class OwnModel:
             f"correct the network or {self.path.with_suffix('.toml').name}",
             _LONGEST_S,
         )
-        network = NetworkApart(self.path, _network(self.path), purpose)
         low, high = (np.float32(value) for value in declared.value_range)
-        try:
-            for cell in cells:
-                patch, video, index, unit = video_around(case, cell, declared.frames)
+        for cell in cells:
+            patch, video, index, unit = video_around(case, cell, declared.frames)
+            # One process for each cell: what it has taken is known when it has ended.
+            network = NetworkApart(self.path, _network(self.path), purpose)
+            try:
                 made = self.enlarged(network, low + (high - low) * video, index)
-                image = unit.back((made - low) / (high - low))
-                yield cell, patch.rectified(image, declared.scale)
-        finally:
-            network.close()
+            finally:
+                network.close()
+            yield cell, patch.rectified(unit.back((made - low) / (high - low)), declared.scale)
 
     def enlarged(self, network: NetworkApart, video: Image, index: int) -> Image:
         """Run the network on patches.

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -255,3 +257,10 @@ def test_halves_share_no_frame(quick_case: Case) -> None:
     first, second = (quick_case.half(k).registration.used for k in (0, 1))
     assert not (first & second).any()
     assert ((first | second) == quick_case.registration.used).all()
+
+
+def test_the_cpu_time_of_a_process_that_a_method_starts_counts() -> None:
+    busy = "import time\nwhile time.process_time() < 0.3: pass"
+    since = cell_images._cpu_s()
+    subprocess.run([sys.executable, "-c", busy], check=True)
+    assert cell_images._cpu_s() - since > 0.25
