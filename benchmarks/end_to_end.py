@@ -71,7 +71,7 @@ from pathlib import Path
 import numpy as np
 from pv_inspect.common.work import result_of
 from pv_inspect.evaluation.case import prepared
-from pv_inspect.evaluation.drizzling import drizzled
+from pv_inspect.evaluation.peers.drizzling import drizzled
 from pv_inspect.sequence.sequence import FrameSequence
 from pv_inspect.settings import Settings
 sequence, out, magnification = sys.argv[1:]

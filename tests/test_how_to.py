@@ -16,7 +16,7 @@ import pv_inspect
 from pv_inspect.calibration.camera_file import read_camera
 from pv_inspect.calibration.camera_profile import read_profile
 from pv_inspect.cli.app import app
-from pv_inspect.evaluation.own_model import OwnModel
+from pv_inspect.evaluation.peers.own_model import OwnModel
 from pv_inspect.settings import Settings
 
 PAGES = sorted((Path(__file__).parents[1] / "docs" / "how-to").glob("*.md"))

@@ -92,7 +92,7 @@ def compare(
     with one_sentence_on_errors(debug) as cleanup:
         from pv_inspect.evaluation.compare import ComparisonFolder, compare_all
         from pv_inspect.evaluation.methods import METHODS, PEERS, methods_named
-        from pv_inspect.evaluation.own_model import OwnModel
+        from pv_inspect.evaluation.peers.own_model import OwnModel
         from pv_inspect.progress.follow import follow
         from pv_inspect.settings import Settings
 

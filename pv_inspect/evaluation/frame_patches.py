@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.evaluation.case import Case, Cell
 
-__all__ = ["FramePatch", "UnitScale", "resampled", "video_around"]
+__all__ = ["FramePatch", "UnitScale", "sampled_at", "video_around"]
 
 Image = NDArray[np.float32]
 Points = NDArray[np.float64]
@@ -127,7 +127,7 @@ class FramePatch:
         (H, W) float32
         """
         inside = self.target_px - np.asarray(self.corner_px, np.float64)
-        return resampled(enlarged, scale * (inside + 0.5) - 0.5)
+        return sampled_at(enlarged, scale * (inside + 0.5) - 0.5)
 
 
 def video_around(
@@ -157,7 +157,7 @@ def video_around(
     return patches[index], np.stack([unit.image for unit in units]), index, units[index]
 
 
-def resampled(image: Image, points: Points) -> Image:
+def sampled_at(image: Image, points: Points) -> Image:
     """Sample an image by cubic interpolation; beyond its ends the last pixels go on.
 
     Parameters

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.work import Progress, forwarded
 from pv_inspect.errors import InspectionError
-from pv_inspect.evaluation.basicvsr import SCALE as BASICVSR_SCALE
-from pv_inspect.evaluation.basicvsr import BasicVsr
 from pv_inspect.evaluation.case import Case, Cell
-from pv_inspect.evaluation.drizzling import drizzled
-from pv_inspect.evaluation.frame_patches import FramePatch, resampled, video_around
-from pv_inspect.evaluation.ncnn_network import NcnnNetwork
-from pv_inspect.evaluation.package_files import file_of_package
-from pv_inspect.evaluation.srcnn import srcnn
-from pv_inspect.evaluation.tensor_file import read_tensors
-from pv_inspect.evaluation.vidsr_program import vidsr_image
+from pv_inspect.evaluation.frame_patches import FramePatch, sampled_at, video_around
+from pv_inspect.evaluation.peers.basicvsr import SCALE as BASICVSR_SCALE
+from pv_inspect.evaluation.peers.basicvsr import BasicVsr
+from pv_inspect.evaluation.peers.drizzling import drizzled
+from pv_inspect.evaluation.peers.ncnn_network import NcnnNetwork
+from pv_inspect.evaluation.peers.package_files import file_of_package
+from pv_inspect.evaluation.peers.srcnn import srcnn
+from pv_inspect.evaluation.peers.tensor_file import read_tensors
+from pv_inspect.evaluation.peers.vidsr_program import vidsr_image
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.reconstruction.prior import PriorName
 from pv_inspect.reconstruction.reconstruct import reconstruct
@@ -277,7 +277,7 @@ def _on_cell(image: Image, own: HrGrid, grid: HrGrid, cell: Cell) -> Image:
         return image[grid.cell_slices(*cell)]
     rows, cols = grid.cell_slices(*cell)
     y, x = np.mgrid[rows, cols].astype(np.float64)
-    return resampled(image, own.to_pixels(grid.to_module(np.stack([x, y], axis=-1))))
+    return sampled_at(image, own.to_pixels(grid.to_module(np.stack([x, y], axis=-1))))
 
 
 METHODS: tuple[Method, ...] = (

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from scipy.ndimage import correlate
 
-from pv_inspect.evaluation.convolution import convolved
-from pv_inspect.evaluation.srcnn import srcnn
+from pv_inspect.evaluation.peers.convolution import convolved
+from pv_inspect.evaluation.peers.srcnn import srcnn
 
 
 def test_a_layer_is_a_sum_of_correlations() -> None:

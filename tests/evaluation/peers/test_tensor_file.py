@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pv_inspect.errors import InspectionError
-from pv_inspect.evaluation.tensor_file import read_tensors
+from pv_inspect.evaluation.peers.tensor_file import read_tensors
 
 HEAD = b"".join(pickle.dumps(v, 2) for v in (0x1950A86A20F9469CFC6C, 1001, {}))
 STORAGE = b"(Vstorage\nctorch\nFloatStorage\nV7\nVcpu\nI7\nNtQ"

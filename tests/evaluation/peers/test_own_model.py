@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pv_inspect.cracks.foreign_network import NetworkApart
 from pv_inspect.errors import InspectionError
-from pv_inspect.evaluation.own_model import OwnModel
+from pv_inspect.evaluation.peers.own_model import OwnModel
 
 DECLARED = 'layout = "nchw"\nchannels = 1\nvalue_range = [-1.0, 1.0]\nscale = 2\n'
 

@@ -19,7 +19,7 @@ from scipy.ndimage import map_coordinates
 
 from pv_inspect.common.work import Progress
 from pv_inspect.errors import InspectionError
-from pv_inspect.evaluation.convolution import convolved
+from pv_inspect.evaluation.peers.convolution import convolved
 
 __all__ = ["SCALE", "BasicVsr"]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pv_inspect.evaluation.vidsr_program import _fused
+from pv_inspect.evaluation.peers.vidsr_program import _fused
 
 vidsr = pytest.importorskip(
     "vidsr", reason="vidsr is not installed: pip install 'pv-inspect[peers]'"

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from pv_inspect.common.work import result_of
 from pv_inspect.errors import InspectionError
-from pv_inspect.evaluation.basicvsr import BasicVsr, warped
-from pv_inspect.evaluation.package_files import file_of_package
-from pv_inspect.evaluation.tensor_file import read_tensors
+from pv_inspect.evaluation.peers.basicvsr import BasicVsr, warped
+from pv_inspect.evaluation.peers.package_files import file_of_package
+from pv_inspect.evaluation.peers.tensor_file import read_tensors
 
 Weights = dict[str, NDArray[np.float32]]
 N_MAPS, N_BLOCKS = 4, 2

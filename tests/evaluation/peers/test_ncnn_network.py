@@ -12,8 +12,8 @@ import pytest
 
 from pv_inspect.errors import InspectionError
 from pv_inspect.evaluation.methods import PEERS, PublishedNetwork, methods_named
-from pv_inspect.evaluation.ncnn_network import NcnnNetwork
-from pv_inspect.evaluation.package_files import file_of_package
+from pv_inspect.evaluation.peers.ncnn_network import NcnnNetwork
+from pv_inspect.evaluation.peers.package_files import file_of_package
 
 NEAREST = """7767517
 2 2

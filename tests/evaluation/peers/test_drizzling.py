@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pv_inspect.common.work import result_of
-from pv_inspect.evaluation.drizzling import drizzled
+from pv_inspect.evaluation.peers.drizzling import drizzled
 from pv_inspect.geometry.grid import HrGrid
 from pv_inspect.registration.registration import Registration
 from tests.handmade import LAYOUT, made_registration

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pv_inspect.evaluation.convolution import convolved
+from pv_inspect.evaluation.peers.convolution import convolved
 
 __all__ = ["srcnn"]
 

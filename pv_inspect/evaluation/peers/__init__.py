@@ -1,0 +1,1 @@
+"""The methods of others, each by its own weights or package."""
