@@ -268,7 +268,9 @@ def replace_file(path: Path, content: bytes) -> None:
         If it can't be written; then an earlier one is as it was.
     """
     if path.is_dir():
-        raise InspectionError(f"{shown(path)} is a folder: give the name of a file.")
+        raise InspectionError(
+            f"{shown(path)} can't be written: it is a folder; remove it, or give another name."
+        )
     partial = own(path, PARTIAL)
     try:
         _write_file(partial, content)
