@@ -76,7 +76,7 @@ class Plan:
 class MethodRecord(Record):
     """How a method has done on one sequence, as it is stored beside its images.
 
-    Parameters
+    Attributes
     ----------
     key : str
         Hash of all that its images depend on.

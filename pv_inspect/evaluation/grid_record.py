@@ -17,7 +17,7 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 class GridRecord(Record):
     """The grid of a case and the pixels of its cells, as they are stored beside the images.
 
-    Parameters
+    Attributes
     ----------
     rows, cols : int
     size : (width, height)
