@@ -123,8 +123,6 @@ def compare(
             ]
         )
         rows = follow(compare_all(folder, plans, command, with_truth=truth), quiet=quiet)
-        if quiet:
-            return
         failed = [row for row in rows if row.failed]
         for row in failed:
             typer.echo(
@@ -132,11 +130,11 @@ def compare(
                 f"figures: {row.failed}",
                 err=True,
             )
-        done = len(rows) - len(failed)
-        typer.echo(f"compared  {done} of {len(rows)} rows have figures")
-        if not any(row.image for row in rows):
-            typer.echo("truth     none: images are shown, not scored")
-        typer.echo(f"results   {printable(str(out))}")
-        typer.echo(f"page      {printable(str(out / 'compare.html'))}")
+        if not quiet:
+            typer.echo(f"compared  {len(rows) - len(failed)} of {len(rows)} rows have figures")
+            if not any(row.image for row in rows):
+                typer.echo("truth     none: images are shown, not scored")
+            typer.echo(f"results   {printable(str(out))}")
+            typer.echo(f"page      {printable(str(out / 'compare.html'))}")
         if failed:
             raise typer.Exit(1)
