@@ -205,8 +205,8 @@ def _make(
     method: Method, case: Case, half: int | None, grid: GridRecord, place: Path, key: str
 ) -> Generator[Progress, None, None]:
     """Make the cells of a method that are not on the disk yet."""
-    begun = _begun(place, key) if method.cell_by_cell else None
-    if begun is None:
+    begun = _record_of(place, key) if method.cell_by_cell else None
+    if begun is None or begun.failed:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True, exist_ok=True)
         begun = MethodRecord(key=key, note=method.note, cpu_s=0.0)
@@ -237,29 +237,28 @@ def _cpu_s() -> float:
     return sum(os.times()[:4])
 
 
-def _begun(place: Path, key: str) -> MethodRecord | None:
-    """Return the record of images that were made from the same frames and settings."""
+def _record_of(place: Path, key: str) -> MethodRecord | None:
+    """Read the record of images that were made from the same frames and settings."""
     try:
         record = checked(MethodRecord, json_from(read_text(place / _METHOD_FILE)))
     except (OSError, ValueError):
         return None
-    return record if record.key == key and not record.failed else None
+    return record if record.key == key else None
 
 
 def _finished(
     place: Path, key: str, grid: GridRecord
 ) -> tuple[MethodRecord, dict[Cell, Image]] | None:
     """Read the images of a method; None if one is missing or they are of something else."""
+    record = _record_of(place, key)
+    if record is None:
+        return None
+    if record.failed:
+        return record, {}
     try:
-        record = checked(MethodRecord, json_from(read_text(place / _METHOD_FILE)))
-        if record.key != key:
-            return None
-        if record.failed:
-            return record, {}
-        images = {cell: _read_image(place, cell, grid) for cell in grid.cells}
+        return record, {cell: _read_image(place, cell, grid) for cell in grid.cells}
     except (OSError, ValueError):
         return None
-    return record, images
 
 
 def _read_image(place: Path, cell: Cell, grid: GridRecord) -> Image:

@@ -14,7 +14,7 @@ from pv_inspect.errors import InspectionError
 from pv_inspect.evaluation.cell_images import Plan, compared
 from pv_inspect.evaluation.methods import Method
 from pv_inspect.evaluation.page import Strip, page, strips_of
-from pv_inspect.evaluation.scoring import Row, rows_of, truth_of
+from pv_inspect.evaluation.scoring import Row, known_cells, rows_of
 from pv_inspect.evaluation.tables import csv_table, markdown_tables, settings_json
 from pv_inspect.settings import Settings
 from pv_inspect.storage.folders import replace_file
@@ -130,16 +130,13 @@ def compare_all(
             return Progress((k + _IMAGES * step.fraction) / len(plans), step.message)
 
         made = yield from forwarded(compared(plan, folder.path), part)
-        truth = truth_of(made) if with_truth else None
+        known = known_cells(made) if with_truth else None
 
         def scored(step: Progress, k: int = k) -> Progress:
             return Progress((k + _IMAGES) / len(plans), step.message)
 
-        rows += yield from forwarded(rows_of(made, truth), scored)
-        known = None
-        if truth is not None:
-            known = {cell: truth.on(made.grid, made.grid.window(cell)) for cell in made.grid.cells}
-        strips += strips_of(made, known)
+        rows += yield from forwarded(rows_of(made, known), scored)
+        strips += strips_of(made, None if known is None else known.radiance)
     told = ", ".join(f"{name} {version}" for name, version in versions().items())
     place = folder.path
     replace_file(place / "table.csv", csv_table(rows).encode())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -14,7 +14,6 @@ from pv_inspect.cracks.training.scores import CoarseScore, coarse_score
 from pv_inspect.errors import InspectionError
 from pv_inspect.evaluation.case import Cell
 from pv_inspect.evaluation.cell_images import ComparedSequence
-from pv_inspect.evaluation.grid_record import GridRecord
 from pv_inspect.evaluation.image_metrics import (
     ImageScore,
     fitted,
@@ -24,7 +23,7 @@ from pv_inspect.evaluation.image_metrics import (
 )
 from pv_inspect.evaluation.truth import Truth, read_truth
 
-__all__ = ["PROTOCOLS", "Row", "rows_of", "truth_of"]
+__all__ = ["PROTOCOLS", "KnownCells", "Row", "known_cells", "rows_of"]
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -99,14 +98,31 @@ class Row:
         return found
 
 
-def rows_of(made: ComparedSequence, truth: Truth | None) -> Generator[Progress, None, list[Row]]:
+@dataclass(frozen=True, eq=False)
+class KnownCells:
+    """The truth of the compared cells, on the pixels of their images.
+
+    Parameters
+    ----------
+    radiance : dict of (row, col) to (h, w) float32
+    cracks : dict of (row, col) to (h, w) bool, or None
+        None if nobody has marked them.
+    """
+
+    radiance: dict[Cell, Image]
+    cracks: dict[Cell, Mask] | None
+
+
+def rows_of(
+    made: ComparedSequence, known: KnownCells | None
+) -> Generator[Progress, None, list[Row]]:
     """Score all methods on one sequence.
 
     Parameters
     ----------
     made : ComparedSequence
-    truth : Truth or None
-        Of `truth_of`; without it nothing is scored.
+    known : KnownCells or None
+        Of `known_cells`; without it nothing is scored.
 
     Yields
     ------
@@ -119,21 +135,15 @@ def rows_of(made: ComparedSequence, truth: Truth | None) -> Generator[Progress, 
     """
     detectors = {name: NetworkDetector(name) for name in ("sharp", "default")}
     rows = []
-    reference = None if truth is None else _reference(truth, made.grid, detectors["sharp"])
+    reference = None if known is None else _reference(known, detectors["sharp"])
     for k, method in enumerate(made.plan.methods):
         record, images = made.records[method.name], made.images[method.name]
         scored: ImageScore | None = None
         cracks: dict[str, CoarseScore] = {}
-        if truth is not None and reference is not None and images:
-            cells = list(images)
-            windows = [made.grid.window(cell) for cell in cells]
-            pairs = [
-                (images[cell], truth.on(made.grid, w))
-                for cell, w in zip(cells, windows, strict=True)
-            ]
+        if known is not None and reference is not None and images:
+            pairs = [(image, known.radiance[cell]) for cell, image in images.items()]
             scored = image_score(pairs, made.grid.magnification)
-            labels = [truth.cracks_on(made.grid, window) for window in windows]
-            cracks = _cracks(images, cells, labels, reference, detectors)
+            cracks = _cracks(images, known.cracks, reference, detectors)
         rows.append(
             Row(
                 made.plan.name,
@@ -164,42 +174,38 @@ def _half_frc(made: ComparedSequence, name: str) -> float | None:
 
 def _cracks(
     images: dict[Cell, Image],
-    cells: Sequence[Cell],
-    labels: Sequence[Mask | None],
+    labels: dict[Cell, Mask] | None,
     reference: dict[Cell, Mask],
     detectors: dict[str, NetworkDetector],
 ) -> dict[str, CoarseScore]:
     maps = {
-        name: [detector.probability(np.ascontiguousarray(images[cell])) for cell in cells]
+        name: [detector.probability(np.ascontiguousarray(image)) for image in images.values()]
         for name, detector in detectors.items()
     }
     threshold = {name: one.operating_point.threshold for name, one in detectors.items()}
     found = {
         "table1": coarse_score(
-            zip(maps["sharp"], [reference[cell] for cell in cells], strict=True),
+            zip(maps["sharp"], [reference[cell] for cell in images], strict=True),
             threshold["sharp"],
             _BLOCK_PX,
         )
     }
-    known = [mask for mask in labels if mask is not None]
-    if len(known) == len(cells):
+    if labels is not None:
+        masks = [labels[cell] for cell in images]
         for protocol, name in (("labels", "sharp"), ("default", "default")):
-            pairs = zip(maps[name], known, strict=True)
+            pairs = zip(maps[name], masks, strict=True)
             found[protocol] = coarse_score(pairs, threshold[name], _BLOCK_PX)
     return found
 
 
-def _reference(truth: Truth, grid: GridRecord, detector: NetworkDetector) -> dict[Cell, Mask]:
+def _reference(known: KnownCells, detector: NetworkDetector) -> dict[Cell, Mask]:
     """Segmentation of the truth on the pixels of the grid: what Table I is measured against."""
     threshold = detector.operating_point.threshold
-    return {
-        cell: detector.probability(truth.on(grid, grid.window(cell))) >= threshold
-        for cell in grid.cells
-    }
+    return {cell: detector.probability(t) >= threshold for cell, t in known.radiance.items()}
 
 
-def truth_of(made: ComparedSequence) -> Truth | None:
-    """Read the truth and turn it as the result lies: a module looks the same upside down.
+def known_cells(made: ComparedSequence) -> KnownCells | None:
+    """Read the truth of the compared cells, once for all methods.
 
     Parameters
     ----------
@@ -207,7 +213,7 @@ def truth_of(made: ComparedSequence) -> Truth | None:
 
     Returns
     -------
-    Truth or None
+    KnownCells or None
         None if the sequence has no folder ``truth``, or no method has an image.
 
     Raises
@@ -215,6 +221,18 @@ def truth_of(made: ComparedSequence) -> Truth | None:
     InspectionError
         If it is damaged or of another module.
     """
+    truth, grid = _truth_of(made), made.grid
+    if truth is None:
+        return None
+    windows = {cell: grid.window(cell) for cell in grid.cells}
+    marked = {cell: truth.cracks_on(grid, window) for cell, window in windows.items()}
+    cracks = {cell: mask for cell, mask in marked.items() if mask is not None}
+    radiance = {cell: truth.on(grid, window) for cell, window in windows.items()}
+    return KnownCells(radiance, cracks or None)
+
+
+def _truth_of(made: ComparedSequence) -> Truth | None:
+    """Read the truth and turn it as the result lies: a module looks the same upside down."""
     read = read_truth(made.plan.sequence)
     some = next((images for images in made.images.values() if images), None)
     if read is None or some is None:
